@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 
+from fden_ros import __version__
 from fden_ros.cli import main
 from fden_ros.errors import InputError
 from fden_ros.offline import batch, workers
@@ -212,7 +213,7 @@ def test_a_worker_of_another_version_is_refused(tmp_path, other_version, capsys)
         cluster.add(1, first=other_version)
         assert main(command(ROOT / "examples", table, "--scheduler", cluster.file)) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "has fden_ros 0.0.9: install fden_ros 0.1.0" in line and not table.exists()
+    assert f"has fden_ros 0.0.9: install fden_ros {__version__}" in line and not table.exists()
 
 
 def test_a_worker_of_another_version_that_comes_later_ends_the_run_too(tmp_path, other_version):
@@ -224,7 +225,7 @@ def test_a_worker_of_another_version_that_comes_later_ends_the_run_too(tmp_path,
         cluster.add(1, first=other_version)
         _, said = running.communicate(timeout=60)
     assert running.returncode == 1
-    assert "install fden_ros 0.1.0" in said.splitlines()[-1]
+    assert f"install fden_ros {__version__}" in said.splitlines()[-1]
 
 
 def test_a_scheduler_that_goes_ends_the_run_in_one_line(tmp_path, monkeypatch):

@@ -22,6 +22,8 @@ from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, Unknown
 from fden_ros.core.law.relaxation import StressMoments
 
+#: A hypothesis that is less likely than this does not decide what is claimed [1].
+LEAST_WEIGHT = 0.01
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 
@@ -73,7 +75,7 @@ class Hypothesis:
         self._filters: list[PressFilter] = []
         # Log evidence of each solution, with the likelihood of what came since.
         self._logs: Array = np.empty(0)
-        self._likeliest = 0  # when it was solved
+        self._logs_when_solved = self._logs
 
     @property
     def change_count(self) -> int:
@@ -150,7 +152,7 @@ class Hypothesis:
         pairs = zip(found.all, is_likely.tolist(), strict=True)
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
         self._set_logs(logs[is_likely] + (log_evidence - found.total))
-        self._likeliest = int(np.argmax(self._logs))
+        self._logs_when_solved = self._logs
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
@@ -187,11 +189,15 @@ class Hypothesis:
 
     @property
     def has_turned(self) -> bool:
-        """Whether another of its solutions is the likeliest since it was solved.
+        """Whether its likeliest solution was hardly likely when it was solved.
 
         The likelihoods of a few blocks that none explains are no evidence.
         """
-        return self._logs.size > 1 and int(np.argmax(self._logs)) != self._likeliest
+        if self._logs.size < 2:
+            return False
+        before = self._logs_when_solved
+        likeliest = before[int(np.argmax(self._logs))]
+        return bool(likeliest < before.max() + math.log(LEAST_WEIGHT))
 
     @property
     def filter(self) -> PressFilter | None:

@@ -13,9 +13,9 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments, positive
-from fden_ros.core.estimation.press_posterior import LEAST_WEIGHT, PressPosterior
+from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER

@@ -25,7 +25,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.epoch import Epoch, Weighed, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.maxima import Solutions
 from fden_ros.core.estimation.mixture import weights_of
 from fden_ros.core.estimation.parts import Advanced
@@ -71,8 +71,6 @@ _PLACED_AFTER = 0.1
 
 #: Hypotheses of one press [1], so that a solution of all has a longest time.
 _MOST_HYPOTHESES = 6
-#: A hypothesis that is less likely than this does not decide what is claimed [1].
-LEAST_WEIGHT = 0.01
 
 
 class _Begun(NamedTuple):

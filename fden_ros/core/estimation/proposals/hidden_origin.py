@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from fden_ros.core.estimation.maxima import Proposed, Solutions
+from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
@@ -39,6 +39,9 @@ def propose(
     """Return the solutions of the ridge on each side of the best maximum."""
     best, model = found.best, posterior.model
     if posterior.is_known(ORIGIN) or strain <= 0.0:
+        return Proposed()
+    if best.maximum.state[LOG_GN] < boundary_of(strain):
+        # The ridge is that of a bend.
         return Proposed()
     slope = model.geometry.strain_slope(model.geometry.compression(strain))
     # So far from node to node that G is e times as large; in units of the origin's deviation.
