@@ -166,7 +166,7 @@ def test_ctrl_c_leaves_what_is_done_and_cancels_the_rest(tmp_path, cluster):
     until(lambda: table.with_suffix(".csv").exists())
     until(lambda: bool(rows_of(table.with_suffix(".csv"))))
     running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=30)
+    _, said = running.communicate(timeout=120)
     assert running.returncode == 130
     done = len({row["bag"] for row in rows_of(table.with_suffix(".csv"))})
     assert 0 < done < 30 and table.exists()

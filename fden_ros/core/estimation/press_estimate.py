@@ -14,7 +14,7 @@ from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converg
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
-from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments, positive
+from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
@@ -128,7 +128,7 @@ def _small_motions(
     by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
     is_its_own = one.setting.carried is None and not one.events
     ends = one.past.plateau if is_its_own else None
-    if ends is not None and ends.log_odds < -NEGLIGIBLE:
+    if ends is not None and ends.log_odds < 0.0:
         ends = None
     share = weight * ends.probability if ends is not None else 0.0
     found = [SmallMotion(one.solved.model, tissue, by_origin, weight - share, shift)]

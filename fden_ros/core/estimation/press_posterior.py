@@ -216,7 +216,10 @@ class PressPosterior:
         """Whether a newest solution was not found, or the newest block is not explained."""
         if self.solved is None:
             return False
-        is_explained = self.is_solved and not (self._is_surprised or self.best.has_turned)
+        is_asked = self._suspected_at is not None
+        is_explained = self.is_solved and not (
+            is_asked or self._is_surprised or self.best.has_turned
+        )
         return not is_explained or self._is_delay_open
 
     @property
