@@ -247,8 +247,8 @@ class ContactSession:
 
     def _visited_before(self, position: Position | None) -> Site | None:
         """Return the site of an earlier touch at a position; None: there is none to go on from."""
-        found = (site for site in reversed(self._visited) if site.is_at(position))
-        return next((site for site in found if site.is_usable), None)
+        known = reversed(self._visited)
+        return next((site for site in known if site.is_usable and site.is_at(position)), None)
 
     def _hover(self, pair: Pair) -> Iterator[Output]:
         """Give a state in the air, one per duration of a block."""

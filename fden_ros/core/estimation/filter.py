@@ -92,7 +92,8 @@ class PressFilter:
     @property
     def is_near(self) -> bool:
         """Whether it is still about where it is linear: within one step of a solution."""
-        off = np.abs(self.x - np.append(self._about, [0.0, 0.0]))[: LARGEST_STEP.size]
+        law = slice(0, LARGEST_STEP.size)
+        off = np.abs(self.x[law] - self._about[law])
         return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
 
     @property

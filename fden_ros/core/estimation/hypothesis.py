@@ -78,6 +78,11 @@ class Hypothesis:
         self._logs_when_solved = self._logs
 
     @property
+    def is_solved(self) -> bool:
+        """Whether its newest solution was found, and wants no further step."""
+        return self.solved is not None and self.solved.best.is_solved and not self.misses
+
+    @property
     def change_count(self) -> int:
         """Changes of the tissue under the probe."""
         return sum(event.since is not None for event in self.events)
@@ -211,9 +216,7 @@ class Hypothesis:
             return ()
         considered = self.solved.best.considered
         found = []
-        for weight, one in zip(
-            weights_of(self._logs.tolist()).tolist(), self._filters, strict=True
-        ):
+        for weight, one in zip(weights_of(self._logs).tolist(), self._filters, strict=True):
             if not weight:
                 continue
             covariance = one.covariance if considered is None else one.covariance + considered

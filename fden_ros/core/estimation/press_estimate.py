@@ -72,7 +72,8 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
         for motion in _small_motions(weight, one, tissue)
     )
-    whole_state = moments(best.components)
+    own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
+    whole_state = moments(own_tissue)
     return Estimate(
         log_linear_stiffness=float(mean[LOG_G]),
         log_nonlinear_stiffness=float(mean[LOG_GN]),
@@ -160,7 +161,7 @@ def _claims(press: PressPosterior, one: Hypothesis, own: list[Component]) -> Cla
         mean[:_ORIGIN],
         np.sqrt(np.maximum(covariance.diagonal()[:_ORIGIN], 0.0)),
         sum(c.weight * _beyond(press, one, c) for c in own),
-        one.solved.best.is_solved and not one.misses,
+        one.is_solved,
         _contradicts_order(one),
         one.solved.best.beyond_bound,
     )

@@ -206,10 +206,7 @@ class PressPosterior:
     def is_solved(self) -> bool:
         """Whether the newest solution of each likely hypothesis was found."""
         likely = self.likely
-        return bool(likely) and all(
-            one.solved is not None and one.solved.best.is_solved and not one.misses
-            for one in likely
-        )
+        return bool(likely) and all(one.is_solved for one in likely)
 
     @property
     def is_doubtful(self) -> bool:
