@@ -16,7 +16,6 @@ from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, Unknown
@@ -38,7 +37,7 @@ class Past:
     deepest: float = 0.0  #: largest compression of earlier presses [1]
     changes: int = 0  #: of the tissue, in earlier presses
     sample_count: int = 0
-    plateau: Plateau | None = None  #: laws whose relaxation ends; None: not known
+    mismatch_probability: float = math.nan  #: of a relaxation that ends; NaN: not known
     memory: StressMoments = field(default_factory=StressMoments)
     #: Logarithm of the odds that the tissue is another, by mean and covariance of what the press
     #: tells of (ln G, ln Gn, alpha); None: it is the one that was touched before.

@@ -150,9 +150,9 @@ class PosteriorEstimator(Estimator):
     def _mismatch_probability(self) -> float:
         """Of a relaxation that ends, by the pasts that know it [1]; NaN: none does."""
         known = [
-            (weight, past.plateau.probability)
+            (weight, past.mismatch_probability)
             for weight, past in self._weighed_pasts()
-            if past.plateau is not None
+            if not math.isnan(past.mismatch_probability)
         ]
         total = sum(weight for weight, _ in known)
         return sum(weight * odds for weight, odds in known) / total if total else math.nan
@@ -326,8 +326,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.solved is not None and one.solved.plateau is not None:
-                one.past.plateau = one.solved.plateau
+            if one.solved is not None and one.solved.mismatch_probability is not None:
+                one.past.mismatch_probability = one.solved.mismatch_probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""

@@ -68,9 +68,15 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     valid, known, at_edge = (_common(part) for part in zip(*claims, strict=True))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     motions = tuple(
-        motion
+        SmallMotion(
+            one.solved.model,
+            tissue,
+            one.setting.by_origin(one.solved.model.size),
+            weight,
+            one.past.shift,
+        )
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
-        for motion in _small_motions(weight, one, tissue)
+        if one.solved is not None
     )
     own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
     whole_state = moments(own_tissue)
@@ -116,29 +122,6 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     mean[_ORIGIN] -= one.past.shift
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
     return Component(component.weight, mean, covariance)
-
-
-def _small_motions(
-    weight: float, one: Hypothesis, tissue: tuple[Component, ...]
-) -> list[SmallMotion]:
-    """Return what a hypothesis predicts of small motions, by the law and by others.
-
-    `weight`: its own; `tissue`: its components by the law.
-    """
-    assert one.solved is not None
-    by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
-    is_its_own = one.setting.carried is None and not one.events
-    ends = one.past.plateau if is_its_own else None
-    if ends is not None and ends.log_odds < 0.0:
-        ends = None
-    share = weight * ends.probability if ends is not None else 0.0
-    found = [SmallMotion(one.solved.model, tissue, by_origin, weight - share, shift)]
-    if ends is not None:
-        found += [
-            SmallMotion(model, (law._replace(weight=1.0),), by_origin, share * law.weight, shift)
-            for model, law in ends.laws
-        ]
-    return found
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:

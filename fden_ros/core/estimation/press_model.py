@@ -40,7 +40,6 @@ from fden_ros.core.law.relaxation import (
     StressMoments,
     creep_slopes,
     creep_weights,
-    relaxation_after,
     relaxation_slopes,
     relaxation_weights,
 )
@@ -141,14 +140,6 @@ class PressModel:
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)
-
-    def relaxation_after(self, orders: Array, time: float) -> tuple[Array, Array]:
-        """Return what is left of the relaxation of orders, (n,), a time after a step [s].
-
-        It is that of each rate, slower ones last, and its derivatives by the order, each of shape
-        (n, RATES + 1).
-        """
-        return relaxation_after(orders, time)
 
     def evaluate(
         self, points: Points, state: Array, going_on: ResponseState | None = None

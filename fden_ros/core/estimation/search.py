@@ -27,7 +27,7 @@ from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.proposals.plateau import Plateau, plateau
+from fden_ros.core.estimation.proposals.plateau import mismatch_log_odds
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
@@ -49,8 +49,8 @@ class Solved:
     solutions: Solutions
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
-    #: Laws whose relaxation ends; None: they were not asked for, or the press cannot tell.
-    plateau: Plateau | None = None
+    #: Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
+    mismatch_probability: float | None = None
 
     @property
     def model(self) -> PressModel:
@@ -139,13 +139,13 @@ class Search:
     def _solved(self) -> Parts[Solved]:
         maxima, strain = yield from self._maxima()
         found = yield from completed(self.posterior, self.points, maxima, strain)
-        ends = yield from self._plateau(found.best)
+        mismatch = yield from self._mismatch_probability(found.best)
         return Solved(
             self.posterior,
             found,
             self._law_error(found.best),
             contradicts(found.best.residuals),
-            ends,
+            mismatch,
         )
 
     def _law_error(self, best: Solution) -> LawError | None:
@@ -154,12 +154,15 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _plateau(self, best: Solution) -> Parts[Plateau | None]:
-        """Return the laws whose relaxation ends; None: they are not asked for."""
+    def _mismatch_probability(self, best: Solution) -> Parts[float | None]:
+        """Return the probability of a relaxation that ends; None: it is not asked for."""
         is_asked = self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
-        return (yield from plateau(self.points, best, self.posterior, self.made))
+        odds = yield from mismatch_log_odds(self.points, best, self.posterior, self.made)
+        if odds is None:
+            return None
+        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)

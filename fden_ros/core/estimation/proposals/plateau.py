@@ -12,14 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.maximum import NEARLY_FOUND
-from fden_ros.core.estimation.mixture import Component, weights_of
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
@@ -27,7 +24,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
-from fden_ros.core.law.relaxation import RATES, left_after, relaxation_weights
+from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
 #: one that is long over.
@@ -57,35 +54,14 @@ class _Maxwell(PressModel):
         slopes[self.rate], slopes[RATES.size] = 1.0, -1.0
         return weights, slopes
 
-    def relaxation_after(self, orders: Array, time: float) -> tuple[Array, Array]:
-        """Return what is left of each rate a time after a step [s], and its derivatives by q."""
-        parts, slopes = np.zeros((2, orders.size, RATES.size + 1))
-        parts[:, self.rate], parts[:, -1] = orders, 1.0 - orders
-        slopes[:, self.rate], slopes[:, -1] = 1.0, -1.0
-        left = left_after(time)[: RATES.size + 1]
-        return parts * left, slopes * left
 
-
-@dataclass(frozen=True)
-class Plateau:
-    """Laws with a plateau: none of their unknowns is G, Gn or alpha, but they predict."""
-
-    log_odds: float  #: of all of them against the power law [1]
-    laws: tuple[tuple[PressModel, Component], ...] = ()  #: their weights add up to 1
-
-    @property
-    def probability(self) -> float:
-        """Of a relaxation that ends [1]."""
-        return 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
-
-
-def plateau(
+def mismatch_log_odds(
     points: Points,
     solution: Solution,
     posterior: Posterior,
     made: Callable[[type[PressModel]], Posterior],
-) -> Parts[Plateau | None]:
-    """Return the laws with a plateau against the power law; None: it cost too much.
+) -> Parts[float | None]:
+    """Return the log evidence of the rival over that of the power law; None: it cost too much.
 
     Parameters
     ----------
@@ -105,7 +81,7 @@ def plateau(
     straight.limit = posterior.limit
     law = yield from _solution(straight, points, start, first)
     if law is None:
-        return Plateau(-math.inf)
+        return -math.inf
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
     errors = law.maximum.errors
     # The stress after the time seen is about the same.
@@ -113,7 +89,7 @@ def plateau(
     at, scales = start.copy(), law.best_scales
     at[ORDER] = _PART
     at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
-    evidence, laws = [], []
+    rivals = []
     for rate in wanted.tolist():
         rival = _straight(made(_Maxwell), at)
         rival.limit = posterior.limit
@@ -121,26 +97,20 @@ def plateau(
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
         found = yield from _solution(rival, points, at, scales)
         if found is not None:
-            evidence.append(evidence_under(rival, points, found, errors, rival.grid))
-            laws.append((rival.model, found))
+            rivals.append(evidence_under(rival, points, found, errors, rival.grid))
             yield cost_of(points, rival.grid)
             at, scales = found.maximum.state, found.best_scales
     if posterior.limit.is_reached:
         return None
-    if not evidence or not math.isfinite(max(evidence)):
-        return Plateau(-math.inf)
-    gain = float(logsumexp(evidence)) - math.log(wanted.size) - law.log_evidence
+    if not rivals:
+        return -math.inf
+    best = max(rivals)
+    if not math.isfinite(best):
+        return -math.inf
+    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / wanted.size)
+    gain -= law.log_evidence
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
-    sharpness = max(float(np.mean(solution.residuals**2)), 1.0)
-    weights = weights_of(np.array(evidence) / sharpness).tolist()
-    return Plateau(
-        gain / sharpness,
-        tuple(
-            (model, Component(weight, found.mean, found.covariance))
-            for weight, (model, found) in zip(weights, laws, strict=True)
-            if weight
-        ),
-    )
+    return gain / max(float(np.mean(solution.residuals**2)), 1.0)
 
 
 def _straight(posterior: Posterior, state: Array) -> Posterior:
