@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import loops_in_numpy
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
@@ -309,17 +310,22 @@ def walked_rows() -> tuple[Array, Array, WalkState]:
 ROUGHNESS, MOTION = 0.7, 1.3
 
 
-def test_whitening_is_that_by_the_covariance_of_all_measurements():
-    rows, errors, state = walked_rows()
+def covariance_of(errors: Array, stress: float, both: float, surface: float) -> Array:
+    """Return the covariance of all measurements of two walks."""
     noise, gain, rough, drift, motion = errors
-    stress, both, surface = state.covariance
-    first = np.minimum.outer(np.arange(60), np.arange(60))
-    covariance = (
+    first = np.minimum.outer(np.arange(noise.size), np.arange(noise.size))
+    result: Array = (
         np.diag(noise)
         + (stress + np.cumsum(ROUGHNESS**2 * rough + drift))[first]
         + np.outer(gain, gain) * (surface + np.cumsum(MOTION**2 * motion))[first]
         + both * np.add.outer(gain, gain)
     )
+    return result
+
+
+def test_whitening_is_that_by_the_covariance_of_all_measurements():
+    rows, errors, state = walked_rows()
+    covariance = covariance_of(errors, *state.covariance)
     root = np.linalg.cholesky(covariance)
     expected = np.linalg.solve(root, rows)
     log_determinant = 0.0
@@ -339,6 +345,41 @@ def test_products_are_those_of_whitened_rows():
     assert found == expected
     np.testing.assert_array_equal(rows, whitened)
     np.testing.assert_allclose(products, whitened.T @ whitened, rtol=1e-12, atol=1e-12)
+
+
+def test_a_filter_comes_to_what_all_measurements_say_at_once():
+    rows, errors, _ = walked_rows()
+    random, free = np.random.default_rng(3), np.array([1.0, 0.0, 1.0])
+    observed, predicted = rows[:, :2].T.copy()
+    linear = loops.Linear(observed, predicted, random.normal(size=3), free, rows[:, 2:].copy())
+    root = random.normal(size=(5, 5))
+    before, prior = random.normal(size=5), root @ root.T
+    mean, covariance, log_likelihood = before.copy(), prior.copy(), 0.0
+    for part in (slice(0, 25), slice(25, 60)):
+        own = linear._replace(
+            observed=observed[part], predicted=predicted[part], jacobian=linear.jacobian[part]
+        )
+        of_part = np.ascontiguousarray(errors[:, part])
+        _, _, _, logarithm = loops.follow(own, of_part, ROUGHNESS, MOTION, mean, covariance)
+        log_likelihood += logarithm
+    design = np.column_stack([linear.jacobian * free, np.ones(60), errors[1]])
+    expected = predicted + design @ (before - np.append(linear.about, [0.0, 0.0]))
+    of_all = design @ prior @ design.T + covariance_of(errors, 0.0, 0.0, 0.0)
+    gain = np.linalg.solve(of_all, design @ prior).T
+    left = prior - gain @ design @ prior
+    np.testing.assert_allclose(mean[:3], (before + gain @ (observed - expected))[:3], atol=1e-10)
+    np.testing.assert_allclose(covariance[:3, :3], left[:3, :3], atol=1e-10)
+    density = multivariate_normal(expected, of_all).logpdf(observed)
+    assert log_likelihood == pytest.approx(density + 30.0 * np.log(2.0 * np.pi), rel=1e-10)
+
+
+def test_a_filter_without_a_finite_prediction_is_refused():
+    _, errors, _ = walked_rows()
+    linear = loops.Linear(
+        np.full(60, np.nan), np.zeros(60), np.zeros(3), np.ones(3), np.zeros((60, 3))
+    )
+    with pytest.raises(FloatingPointError, match="not finite"):
+        loops.follow(linear, errors, ROUGHNESS, MOTION, np.zeros(5), np.eye(5))
 
 
 def test_the_compiled_age_of_a_loading_is_that_of_numpy():

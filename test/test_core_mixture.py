@@ -106,7 +106,7 @@ def assert_moments(estimate: Estimate) -> None:
 
 
 def test_what_is_published_has_the_moments_of_the_published_components() -> None:
-    found = [one for one in press(estimator_of(), tissue_of(), motion()) if one.modes]
+    found = [one for one in press(estimator_of(), tissue_of(), motion(0.15)) if one.modes]
     for estimate in found:
         assert_moments(estimate)
         assert_moments(reserved(CONFIG, estimate, Reservations(variance_factor=3.0)))
@@ -172,7 +172,7 @@ def test_a_hypothesis_is_dropped_when_its_solution_is_lost_twice_in_a_row(
 
     monkeypatch.setattr(Search, "in_parts", failing)
     shares: list[float] = []
-    for _ in press(estimator, tissue, motion(0.05, 0.0)):
+    for _ in press(estimator, tissue, motion(0.05, 0.3)):
         own = estimator.press
         assert own is not None
         if len(lost) == misses and not own.is_solving and own.solved is not None:

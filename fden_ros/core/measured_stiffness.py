@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +63,8 @@ _NOISE_SAMPLES = 64
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 2.0) / math.sqrt(20.0)
 _NORMAL_95 = 1.959964
+#: Residuals that are all 0 have no correlation [1].
+_TINY = 1e-300
 
 
 class MeasuredStiffness(NamedTuple):
@@ -313,21 +314,28 @@ class StiffnessMeter:
         return True
 
 
-class _Window(NamedTuple):
-    """A window of pieces, the newest first: shape (n,)."""
+class _Windows(NamedTuple):
+    """Windows that begin at the newest piece, from the narrowest on; each of shape (windows,)."""
 
-    width: float  #: [m]
-    middle: float  #: [m]
-    line: float  #: slope [N/m]
-    sd: float  #: [N/m]
-    noise: float  #: of a sample of the force, as if it were white [N]
-    own_noise: float  #: as it is in this window alone [N]
+    widths: Array  #: [m]
+    middles: Array  #: [m]
+    lines: Array  #: slopes [N/m]
+    sds: Array  #: [N/m]
+    noises: Array  #: of a sample of the force, as if it were white [N]
+    own_noises: Array  #: as they are in each window alone [N]
 
     @property
-    def is_known(self) -> bool:
-        """Whether the slope stands out from its deviation, and the force's change from noise."""
-        rise = self.line * self.width
-        return self.line >= _LEAST_RATIO * self.sd and rise >= _LEAST_RISE * self.noise
+    def best(self) -> int | None:
+        """The first whose deviation is small, else that of the least; None: no slope is known.
+
+        A slope is known where it stands out from its deviation, and the force's change from noise.
+        """
+        stands_out = self.lines >= _LEAST_RATIO * self.sds
+        known = stands_out & (self.lines * self.widths >= _LEAST_RISE * self.noises)
+        if not known.any():
+            return None
+        fine = np.flatnonzero(known & (self.sds <= _FINE * self.lines))
+        return int(fine[0] if fine.size else np.argmin(np.where(known, self.sds, np.inf)))
 
 
 def _slope(run: _Run, noise: float) -> MeasuredStiffness | None:
@@ -339,17 +347,12 @@ def _slope(run: _Run, noise: float) -> MeasuredStiffness | None:
     change = _change(columns)
     if change < run.least_change:
         return None
-    best: _Window | None = None
-    for window in _windows(columns, change, noise):
-        if window.is_known and (best is None or window.sd < best.sd):
-            best = window
-        if best is not None and best.sd <= _FINE * best.line:
-            break
+    windows = _windows(columns, _counts(columns, change, noise), noise)
+    best = windows.best
     if best is None:
         return None
-    run.noise = best.own_noise
-    depth = run.start + run.sign * best.middle
-    return MeasuredStiffness(best.line, best.sd, depth, best.width, run.newest_ns)
+    width, middle, line, sd, _, run.noise = (float(each[best]) for each in windows)
+    return MeasuredStiffness(line, sd, run.start + run.sign * middle, width, run.newest_ns)
 
 
 def _change(columns: Array) -> float:
@@ -358,20 +361,18 @@ def _change(columns: Array) -> float:
     return float(forces[:3].mean() - forces.min())
 
 
-def _windows(columns: Array, change: float, noise: float) -> Iterator[_Window]:
-    """Yield windows that hold enough of the force's change [N], from the narrowest on."""
+def _counts(columns: Array, change: float, noise: float) -> list[int]:
+    """Return the pieces of windows that hold enough of the force's change [N], narrowest first."""
     widths = np.cumsum(columns[:, 0])
     rises = _lines(columns) * widths[_LEAST_PIECES - 1 :]
-    last = len(columns)
-    count = _LEAST_PIECES
-    while True:
-        is_enough = rises[count - _LEAST_PIECES] >= max(_LEAST_PART * change, _LEAST_RISE * noise)
-        if is_enough or count == last:
-            yield _window(columns[:count], noise)
-        if count == last:
-            return
+    is_enough = rises >= max(_LEAST_PART * change, _LEAST_RISE * noise)
+    last, count, found = len(columns), _LEAST_PIECES, []
+    while count < last:
+        if is_enough[count - _LEAST_PIECES]:
+            found.append(count)
         wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
         count = min(max(wider, count + 1), last)
+    return [*found, last]
 
 
 def _lines(columns: Array) -> Array:
@@ -386,39 +387,36 @@ def _lines(columns: Array) -> Array:
     return slopes
 
 
-def _window(columns: Array, noise: float) -> _Window:
-    """Return the slope of a window with its deviation."""
-    weights, _, places, squares, cubes, forces, variances = columns.T
-    width = float(weights.sum())
-    half = 0.5 * width
-    middle = float(weights @ places) / width
+def _windows(columns: Array, counts: list[int], noise: float) -> _Windows:
+    """Return the slopes of windows of so many pieces, with their deviations."""
+    own_widths, _, places, squares, cubes, forces, variances = columns.T
+    weights = np.where(np.arange(len(columns)) < np.array(counts)[:, None], own_widths, 0.0)
+    is_in = weights > 0.0
+    widths = weights.sum(axis=1)
+    half, middles = 0.5 * widths[:, None], weights @ places / widths
     # Means of the powers of the distance from the middle, in halves, over each piece.
-    first, square = (places - middle) / half, squares / half**2
+    first, square = (places - middles[:, None]) / half, squares / half**2
     second = first**2 + square
     third = first * (first**2 + 3.0 * square) + cubes / half**3
-    design = np.stack([np.ones_like(first), first, second, third], axis=1)
-    by_weight = design.T * weights
-    straight = np.linalg.solve(by_weight[:3] @ design[:, :3], by_weight[:3])
-    curved = np.linalg.solve(by_weight @ design, by_weight)
-    residuals = forces - design @ (curved @ forces)
-    freedom = len(forces) - 4
-    scaled = residuals / np.sqrt(variances)
-    correlated = _correlation(scaled)
-    own = float(scaled @ scaled) / freedom * (1.0 + correlated) / (1.0 - correlated)
-    of_sample = max(own, noise**2)
-    slope, bend = straight[1], straight[1] - curved[1]
-    by_noise = of_sample * float(slope**2 @ variances)
-    bent = float(bend @ forces) ** 2 - of_sample * float(bend**2 @ variances)
-    student = float(stdtrit(freedom, 0.975)) / _NORMAL_95
-    sd = math.sqrt(student**2 * by_noise + max(bent, 0.0)) / half
-    line = float(slope @ forces) / half
-    return _Window(width, middle, line, sd, math.sqrt(of_sample), math.sqrt(own))
-
-
-def _correlation(residuals: Array) -> float:
-    """Return that of neighbours [1], from 0 on: a negative one narrows nothing."""
-    total = float(residuals @ residuals)
-    if not total:
-        return 0.0
-    lagged = float(residuals[1:] @ residuals[:-1])
-    return min(max(lagged / total, 0.0), _MOST_CORRELATED)
+    design = np.stack([np.ones_like(first), first, second, third], axis=2)
+    by_weight = np.swapaxes(design * weights[:, :, None], 1, 2)
+    normal = by_weight @ design
+    straight, cubic = np.linalg.inv(normal[:, :3, :3])[:, 1:2], np.linalg.inv(normal)
+    fitted = design @ (cubic @ (by_weight @ forces)[:, :, None])
+    residuals = forces - fitted[:, :, 0]
+    # Both slopes in the middle are sums of the forces.
+    line = (straight @ by_weight[:, :3])[:, 0]
+    bend = line - (cubic[:, 1:2] @ by_weight)[:, 0]
+    scaled = np.where(is_in, residuals / np.sqrt(variances), 0.0)
+    freedom, total = np.array(counts) - 4, (scaled**2).sum(axis=1)
+    lagged = (scaled[:, 1:] * scaled[:, :-1]).sum(axis=1)
+    # A negative correlation of neighbours narrows nothing.
+    correlated = np.clip(lagged / np.maximum(total, _TINY), 0.0, _MOST_CORRELATED)
+    own = total / freedom * (1.0 + correlated) / (1.0 - correlated)
+    of_sample = np.maximum(own, noise**2)
+    by_noise = of_sample * (line**2 @ variances)
+    bent = (bend @ forces) ** 2 - of_sample * (bend**2 @ variances)
+    student = stdtrit(freedom, 0.975) / _NORMAL_95
+    sds = np.sqrt(student**2 * by_noise + np.maximum(bent, 0.0)) / half[:, 0]
+    lines = line @ forces / half[:, 0]
+    return _Windows(widths, middles, lines, sds, np.sqrt(of_sample), np.sqrt(own))

@@ -73,32 +73,33 @@ def _under(points: Points, one: Solved, best: Solved) -> float:
 
 
 def taken_over(
-    hypotheses: Sequence[Hypothesis],
-    found: Sequence[Weighed],
-    before: Sequence[tuple[float, Hypothesis]],
-) -> list[Hypothesis]:
-    """Let hypotheses go on from their solutions; return those that have one.
-
-    One whose solution was not found keeps its weight beside the others, which is in `before`.
-    """
+    hypotheses: Sequence[Hypothesis], found: Sequence[Weighed]
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Let hypotheses go on from their solutions; return those that have one, and those without."""
     solved, missed = [], []
     for one, result in zip(hypotheses, found, strict=True):
         if result is None:
             one.misses += 1
-            missed += [(weight, other) for weight, other in before if other is one]
-            continue
-        own, evidence = result
-        one.take_over(own, evidence)
-        solved.append(one)
-    _keep_shares(missed, solved)
-    return solved
+            missed.append(one)
+        else:
+            one.take_over(*result)
+            solved.append(one)
+    return solved, missed
 
 
-def _keep_shares(missed: Sequence[tuple[float, Hypothesis]], solved: Sequence[Hypothesis]) -> None:
-    """Let hypotheses whose solution was not found keep their weights beside those found."""
-    rest = 1.0 - sum(weight for weight, _ in missed)
+def keep_shares(
+    before: Sequence[tuple[float, Hypothesis]],
+    missed: Sequence[Hypothesis],
+    solved: Sequence[Hypothesis],
+) -> None:
+    """Let hypotheses whose solution was not found keep their weights, in `before`, beside those found.
+
+    All have taken the same blocks.
+    """
+    shares = [(weight, one) for weight, one in before if one in missed]
+    rest = 1.0 - sum(weight for weight, _ in shares)
     total = float(logsumexp([one.log_weight for one in solved]))
-    for weight, one in missed:
+    for weight, one in shares:
         one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
 
 

@@ -83,11 +83,6 @@ class Errors:
         """Stress per compression of the surface [Pa], (m,)."""
         return self.rows[1]
 
-    def walks(self, roughness: float, motion: float) -> tuple[Array, Array]:
-        """Return the variances that the walks gain, at scales of roughness and motion."""
-        _, _, rough, drift, of_surface = self.rows
-        return roughness**2 * rough + drift, motion**2 * of_surface
-
 
 class ErrorModel:
     """The error processes of one press.

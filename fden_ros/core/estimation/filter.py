@@ -19,12 +19,12 @@ Li and Kirubarajan 2001, section 5.2):
 from __future__ import annotations
 
 import copy
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
@@ -64,7 +64,8 @@ class PressFilter:
         self._response = copy.deepcopy(solution.response_state)
         self._loading = solution.maximum.errors.loading
         n = model.size
-        self._known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])
+        self._free = np.ones(n)
+        self._free[: len(model.unknowns)] = [u.sd != 0.0 for u in model.unknowns]
         # Given the unknowns the walks are what the residuals less their columns leave.
         by_unknowns = -solution.walk.means[:, 1:]
         p00, p01, p11 = solution.walk.covariance
@@ -74,7 +75,7 @@ class PressFilter:
         self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
         self.P = np.empty((n + 2, n + 2))
         self.P[:n, :n] = solution.covariance
-        by_unknowns[:, self._known] = 0.0
+        by_unknowns *= self._free
         self.P[n:, :n] = by_unknowns @ solution.covariance
         self.P[:n, n:] = self.P[n:, :n].T
         self.P[n:, n:] = self.P[n:, :n] @ by_unknowns.T + np.array([[p00, p01], [p01, p11]])
@@ -117,22 +118,10 @@ class PressFilter:
         found = self._model.evaluate(points, self._about, self._response)
         errors = self._error_model.errors(points, self._about, found, self._loading)
         self._loading = errors.loading
-        walks = errors.walks(self._scales.roughness, self._scales.motion)
-        by_walks = np.column_stack([np.ones_like(errors.gain), errors.gain])
-        gradients = np.hstack([found.jacobian, by_walks])
-        gradients[:, self._known] = 0.0
-        about, log_likelihood = np.append(self._about, [0.0, 0.0]), 0.0
-        for k, H in enumerate(gradients):
-            self.P[-2, -2] += walks[0][k]
-            self.P[-1, -1] += walks[1][k]
-            h = found.stress[k] + H @ (self.x - about)
-            y = points.stresses[k] - h
-            PHt = self.P @ H
-            S = H @ PHt + errors.noise[k]
-            if not (np.isfinite(y) and 0.0 < S < np.inf):
-                raise FloatingPointError("the prediction of the stress is not finite")
-            K = PHt / S
-            self.x = self.x + K * y
-            self.P = self.P - np.outer(K, PHt)
-            log_likelihood -= 0.5 * (y**2 / S + math.log(S))
-        return Update(float(h), float(y), float(S), float(log_likelihood))
+        linear = loops.Linear(
+            points.stresses, found.stress, self._about, self._free, found.jacobian
+        )
+        scales = self._scales.roughness, self._scales.motion
+        # What was given out stays as it was.
+        self.x, self.P = self.x.copy(), self.P.copy()
+        return Update(*loops.follow(linear, errors.rows, *scales, self.x, self.P))

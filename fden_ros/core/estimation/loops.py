@@ -33,7 +33,7 @@ from fden_ros.core.law.layer import TERMS
 from fden_ros.core.law.relaxation import COUNT as RATE_COUNT
 from fden_ros.core.law.relaxation import RATES
 
-_VERSION = 3  #: of what the functions take; raised with every change of it
+_VERSION = 4  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
 try:
     from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
@@ -259,6 +259,57 @@ def equations(
         errors, roughness, motion, state.covariance, rows, state.means, products
     )
     return products, found
+
+
+class Linear(NamedTuple):
+    """Blocks of stress that are linear about a state, (blocks,) and (blocks, n)."""
+
+    observed: Array  #: [Pa]
+    predicted: Array  #: at the state [Pa]
+    about: Array  #: the state, (n,)
+    free: Array  #: 0 of what is known, else 1, (n,)
+    jacobian: Array
+
+
+def follow(
+    linear: Linear, errors: Array, roughness: float, motion: float, mean: Array, covariance: Array
+) -> tuple[float, float, float, float]:
+    r"""Bring mean and covariance, of the unknowns and two walks, through blocks, in place.
+
+    An extended Kalman filter: with H the row of a block, 1 for the stress's walk and the gain for
+    the surface's, and what the walks gain before it in Q,
+
+    .. math::
+        P \leftarrow P + Q, \quad y = z - h(x), \quad S = H P H^T + R, \quad
+        K = P H^T S^{-1}, \quad x \leftarrow x + K y, \quad P \leftarrow P - K S K^T .
+
+    Parameters
+    ----------
+    linear : Linear
+    errors, roughness, motion
+        As :func:`whiten` takes them.
+    mean : ndarray, shape (n + 2,)
+        x.
+    covariance : ndarray, shape (n + 2, n + 2)
+        P.
+
+    Returns
+    -------
+    prediction, innovation, variance : float
+        h, y and S of the last block.
+    log_likelihood : float
+        Of all.
+
+    Raises
+    ------
+    FloatingPointError
+        If a prediction is not finite.
+    """
+    found = np.empty(4)
+    if not _compiled.follow(errors, roughness, motion, *linear, mean, covariance, found):
+        raise FloatingPointError("the prediction of the stress is not finite")
+    prediction, innovation, variance, log_likelihood = found.tolist()
+    return prediction, innovation, variance, log_likelihood
 
 
 class Scaled(NamedTuple):

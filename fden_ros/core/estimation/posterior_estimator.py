@@ -44,6 +44,9 @@ _UNKNOWN_ZERO = 0.01
 _MISMATCH = 0.95
 #: The speed at the touch is that of so long before it [s].
 _TOUCH_TIME = 0.1
+#: Work of a time in the air over that of a time in contact [1]: no filter takes samples there, and
+#: the last solution is found within 0.8 s.
+_IN_AIR = 3.0
 #: Pasts of earlier touches that a touch may go on from [1].
 _MOST_PASTS = 2
 #: Part of the variance of what is stated of a rig that a press tells at least [1].
@@ -316,7 +319,7 @@ class PosteriorEstimator(Estimator):
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
         if self.press is not None:
-            self.press.work(seconds)
+            self.press.work(_IN_AIR * seconds)
 
     def finish(self) -> None:
         """Do what is left of it."""

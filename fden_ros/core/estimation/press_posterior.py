@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.epoch import Epoch, Weighed, kept, taken_over
+from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
@@ -49,11 +49,11 @@ from fden_ros.core.law.characteristic import elastic_response
 #: The posterior is solved anew when the time since the touch, or the largest compression, has
 #: grown by these factors [1], some 20 times a contact; between two the filter is off by half
 #: a standard deviation.
-_TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
+_TIME_RATIO, _DEPTH_RATIO = 1.5, 1.25
 #: Points that a solution evaluates for each second of samples [1/s]; it is used at the block where
-#: it ends: 1200 points, some 2 to 4 ms, a block of 10 ms. Work is counted and
+#: it ends: 750 points, some 1.5 ms, a block of 10 ms. Work is counted and
 #: not timed, so that what comes of a recording is what came of it live.
-_WORK_RATE = 1.2e5
+_WORK_RATE = 0.75e5
 #: At most so much of it at a block [1]: 0.25 s of samples.
 _MOST_WORK = 3e4
 #: A look for a change has this much more, since it has to tell within 0.1 s [1].
@@ -466,9 +466,10 @@ class PressPosterior:
             return
         self._solved_at = begun.elapsed, begun.compression
         self._shows_delay = self._begins_with_delay
-        solved = taken_over(begun.hypotheses, found, self.weighed)
-        self.hypotheses = kept(self.hypotheses)
+        solved, missed = taken_over(begun.hypotheses, found)
         self._catch_up(solved, begun.end, begun.since)
+        keep_shares(self.weighed, missed, solved)
+        self.hypotheses = kept(self.hypotheses)
         self.weigh()
 
     def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:

@@ -150,6 +150,49 @@ CLONED double fden_equations(const Walks *walks, int columns, double *rows, doub
     return found;
 }
 
+/* An extended Kalman filter: predict and update, block by block. */
+CLONED int fden_follow(const Followed *in, double *mean, double *covariance, double *found)
+{
+    const Walks *walks = &in->walks;
+    int n = in->unknowns, size = n + 2, failed = 0;
+    double *row = calloc(2 * (size_t)size, sizeof(double)), *gains = row + size;
+    found[3] = 0.0;
+    for (int b = 0; row && b < walks->blocks && !failed; b++) {
+        const double *by = in->jacobian + (size_t)b * n;
+        double *of_stress = covariance + (size_t)n * size, *of_surface = of_stress + size;
+        of_stress[n] += walks->roughness * walks->rough[b] + walks->drift[b];
+        of_surface[n + 1] += walks->surface * walks->motion[b];
+        double predicted = in->predicted[b], variance = walks->noise[b];
+        for (int k = 0; k < n; k++) {
+            row[k] = by[k] * in->free[k];
+            predicted += row[k] * (mean[k] - in->about[k]);
+        }
+        row[n] = 1.0, row[n + 1] = walks->gain[b];
+        predicted += mean[n] + row[n + 1] * mean[n + 1];
+        for (int i = 0; i < size; i++) {
+            const double *restrict own = covariance + (size_t)i * size;
+            double sum = 0.0;
+            for (int j = 0; j < size; j++)
+                sum += own[j] * row[j];
+            gains[i] = sum;
+            variance += row[i] * sum;
+        }
+        double innovation = in->observed[b] - predicted;
+        failed = !isfinite(innovation) || !(variance > 0.0) || !isfinite(variance);
+        for (int i = 0; i < size && !failed; i++) {
+            double gain = gains[i] / variance, *restrict own = covariance + (size_t)i * size;
+            mean[i] += gain * innovation;
+            for (int j = 0; j < size; j++)
+                own[j] -= gain * gains[j];
+        }
+        found[0] = predicted, found[1] = innovation, found[2] = variance;
+        found[3] -= 0.5 * (innovation * innovation / variance + log(variance));
+    }
+    failed |= !row;
+    free(row);
+    return failed;
+}
+
 /* Rows lie a multiple of GROUP apart, and loops go over whole groups: what they do below a diagonal or
  * beyond a row's end is of no use and does no harm. */
 static int padded(int size)

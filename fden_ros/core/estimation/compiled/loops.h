@@ -79,6 +79,18 @@ typedef struct {
 double fden_whiten(const Walks *walks, int columns, double *rows, double *means);
 double fden_equations(const Walks *walks, int columns, double *rows, double *means, double *normal);
 
+/* Blocks that a filter takes, linear about a state of so many unknowns. */
+typedef struct {
+    Walks walks;
+    int unknowns;
+    const double *observed, *predicted, *jacobian, *about, *free; /* free: 0 of what is known, else 1 */
+} Followed;
+
+/* Bring mean and covariance of the unknowns and the walks through blocks; `found`: prediction,
+ * innovation and its variance of the last, and the log likelihood of all. Returns 1 where one is not
+ * finite. */
+int fden_follow(const Followed *in, double *mean, double *covariance, double *found);
+
 /* Normal equations whose prior depends on two scales. */
 typedef struct {
     int size, held, kernel, characteristic; /* held: a bit a place; and where the errors begin */

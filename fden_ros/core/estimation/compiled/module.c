@@ -11,7 +11,7 @@
 #include "loops.h"
 
 /* Raised with every change of what a function takes: loops.py compares it. */
-#define VERSION 3
+#define VERSION 4
 
 #define MOST_ARGUMENTS 32
 
@@ -263,7 +263,7 @@ FUNCTION(clock_of)
 
 static Walks walks_of(Call *call, Py_ssize_t *blocks)
 {
-    Walks found;
+    Walks found = {0};
     const double *errors = sized(call, blocks);
     *blocks /= 5;
     found.blocks = (int)*blocks;
@@ -271,7 +271,6 @@ static Walks walks_of(Call *call, Py_ssize_t *blocks)
     found.drift = errors + 3 * *blocks, found.motion = errors + 4 * *blocks;
     found.roughness = number(call), found.surface = number(call);
     found.roughness *= found.roughness, found.surface *= found.surface;
-    found.covariance = numbers(call, 3);
     return found;
 }
 
@@ -281,6 +280,7 @@ FUNCTION(whiten)
     Call call = begin(arguments, count);
     Py_ssize_t blocks = 0, size = 0;
     Walks walks = walks_of(&call, &blocks);
+    walks.covariance = numbers(&call, 3);
     double *rows = sized(&call, &size), found = 0.0;
     Py_ssize_t columns = blocks ? size / blocks : 0;
     double *means = numbers(&call, 2 * columns);
@@ -299,6 +299,7 @@ FUNCTION(equations)
     Call call = begin(arguments, count);
     Py_ssize_t blocks = 0, size = 0;
     Walks walks = walks_of(&call, &blocks);
+    walks.covariance = numbers(&call, 3);
     double *rows = sized(&call, &size), found = 0.0;
     Py_ssize_t columns = blocks ? size / blocks : 0;
     double *means = numbers(&call, 2 * columns), *normal = numbers(&call, columns * columns);
@@ -309,6 +310,33 @@ FUNCTION(equations)
     }
     end(&call);
     return call.has_failed ? NULL : PyFloat_FromDouble(found);
+}
+
+/* (errors, roughness, motion, observed, predicted, about, free, jacobian, mean, covariance, found):
+ * whether all is finite */
+FUNCTION(follow)
+{
+    Call call = begin(arguments, count);
+    Followed in;
+    Py_ssize_t blocks = 0, unknowns = 0;
+    in.walks = walks_of(&call, &blocks);
+    in.observed = numbers(&call, blocks);
+    in.predicted = numbers(&call, blocks);
+    in.about = sized(&call, &unknowns);
+    in.free = numbers(&call, unknowns);
+    in.jacobian = numbers(&call, blocks * unknowns);
+    double *mean = numbers(&call, unknowns + 2);
+    double *covariance = numbers(&call, (unknowns + 2) * (unknowns + 2));
+    double *found = numbers(&call, 4);
+    int failed = 1;
+    if (is_ready(&call)) {
+        in.unknowns = (int)unknowns;
+        Py_BEGIN_ALLOW_THREADS
+        failed = fden_follow(&in, mean, covariance, found);
+        Py_END_ALLOW_THREADS
+    }
+    end(&call);
+    return call.has_failed ? NULL : PyBool_FromLong(!failed);
 }
 
 static Scaled scaled_of(Call *call)
@@ -391,6 +419,7 @@ static PyMethodDef METHODS[] = {
     METHOD("moments", moments),     METHOD("respond", respond), METHOD("errors", errors),
     METHOD("clock", clock_of),      METHOD("whiten", whiten),   METHOD("equations", equations),
     METHOD("weigh", weigh),         METHOD("mix", mix),         METHOD("solve", solve),
+    METHOD("follow", follow),
     {NULL, NULL, 0, NULL},
 };
 
