@@ -18,7 +18,7 @@ from benchmark.score import rms
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
-from fden_ros.core.estimation.error_model import ErrorModel, Errors, Loading, Noise
+from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
@@ -276,13 +276,6 @@ def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
     with pytest.raises(FloatingPointError, match="not finite"):
         lost = record.blocks([Sample(last + 0.01, 0.2, math.nan)])
         kalman.step(record.points_after(lost, last))
-
-
-def test_the_walks_gain_variance_by_the_square_of_their_scales() -> None:
-    rows = np.array([1.0, 1.0, 1.0, 2.0, 1.0])[:, None] * np.ones(3)
-    errors = Errors(rows, Loading(0.0, 1.0, 1.0))
-    stress, surface = errors.walks(0.5, 3.0)
-    assert np.all(stress == 0.25 + 2.0) and np.all(surface == 9.0)
 
 
 def met_at(press: Press) -> int:

@@ -92,7 +92,7 @@ def keep_shares(
     missed: Sequence[Hypothesis],
     solved: Sequence[Hypothesis],
 ) -> None:
-    """Let hypotheses whose solution was not found keep their weights, in `before`, beside those found.
+    """Let hypotheses whose solution was not found keep their weights, which are in `before`.
 
     All have taken the same blocks.
     """

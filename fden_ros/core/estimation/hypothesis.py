@@ -18,7 +18,8 @@ from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, Unknown
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
+from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.relaxation import StressMoments
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
@@ -191,6 +192,18 @@ class Hypothesis:
             return None
         return found
 
+    def elastic_response(self, compression: float) -> float | None:
+        """Return the elastic response at a given compression [Pa]; None: it is no number."""
+        if self.filter is None:
+            return None
+        mean, geometry = self.filter.mean, self.setting.geometry
+        strain = geometry.strain(compression + self.past.shift - self.setting.origin(mean))
+        try:
+            found = elastic_response(strain, math.exp(mean[LOG_G]), math.exp(mean[LOG_GN]))
+        except (FloatingPointError, OverflowError):
+            return None
+        return float(found.value)
+
     @property
     def has_turned(self) -> bool:
         """Whether its likeliest solution was hardly likely when it was solved.
@@ -202,6 +215,27 @@ class Hypothesis:
         before = self._logs_when_solved
         likeliest = before[int(np.argmax(self._logs))]
         return bool(likeliest < before.max() + math.log(LEAST_WEIGHT))
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether its filter is a standard deviation from the solution about which it is linear.
+
+        It went on by four of them in a hold of a minute.
+        """
+        if self.solved is None or self.filter is None:
+            return False
+        law, best = slice(0, len(LAW)), self.solved.best
+        moved = np.square(self.filter.mean - best.mean)[law]
+        return bool(np.any(moved > best.covariance.diagonal()[law]))
+
+    @property
+    def delays(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """A long delay and its deviation [s] when it was solved, and now; None: it has none."""
+        if self.solved is None or self.filter is None or not self.setting.is_late:
+            return None
+        best, now = self.solved.best, self.filter
+        delay = self.setting.delay
+        return delay(best.mean, best.covariance), delay(now.mean, now.covariance)
 
     @property
     def filter(self) -> PressFilter | None:

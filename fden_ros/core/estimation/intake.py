@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The samples of one press on their way into its record.
+
+Where the motion may be late, a sample of the stress waits until its motion has come.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.record import Block, Record, Sample
+
+#: The touch may be this many standard deviations of the origin before its nominal place [1].
+_REACH = 6.0
+
+
+class Intake:
+    """Takes the samples of one press.
+
+    Parameters
+    ----------
+    settings : sequence of PressSetting
+        Of its hypotheses.
+    start : float
+        Time of the touch [s].
+    compression_sd : float
+        Standard deviation of a sample's compression [1]; 0: not known yet.
+    way : ndarray, shape (3, n), optional
+        Of the probe before the touch: times from it [s], compressions [1] and stresses [Pa].
+
+    Attributes
+    ----------
+    record : Record
+    deepest : float
+        Largest compression of the press [1].
+    compression_sd : float
+    now : float
+        Time of the newest sample in the record [s].
+    """
+
+    def __init__(
+        self,
+        settings: Sequence[PressSetting],
+        start: float,
+        compression_sd: float = 0.0,
+        way: Array | None = None,
+    ) -> None:
+        is_one_sided = settings[0].geometry.is_one_sided
+        reach = _REACH * max(one.origin_sd for one in settings) if is_one_sided else 0.0
+        is_at_rest = is_one_sided and any(one.carried is None for one in settings)
+        late = settings[0].delay_reach
+        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)
+        if way is not None and (reach or is_at_rest):
+            self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
+        self.deepest, self.compression_sd, self.now = -math.inf, compression_sd, start
+        # Samples whose motion may not have come yet.
+        self._held: deque[tuple[Sample, bool]] = deque()
+        self._samples: list[Sample] = []
+        self._is_pressed = False
+
+    def take(
+        self, sample: Sample, compression_sd: float, lateness: float, *, is_free: bool
+    ) -> None:
+        """Take a sample, whose motion comes at most `lateness` seconds later."""
+        if compression_sd:
+            self.compression_sd = compression_sd
+            self.record.noise_sd = self.record.noise_sd or compression_sd
+        if not lateness and not self._held:
+            self._take(sample, is_free=is_free)
+            return
+        self._held.append((sample, is_free))
+        while self._held and self._held[0][0].time <= sample.time - lateness:
+            held, was_free = self._held.popleft()
+            self._take(held, is_free=was_free)
+
+    def _take(self, sample: Sample, *, is_free: bool) -> None:
+        self.now = sample.time
+        self._is_pressed |= not is_free
+        is_observed = not (is_free and self._is_pressed)
+        self.record.add(*sample, is_observed=is_observed)
+        if is_observed:
+            self._samples.append(sample)
+            self.deepest = max(self.deepest, sample.compression)
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by."""
+        self._samples = []
+
+    def blocks(self) -> list[Block]:
+        """Return the blocks of the samples since the last."""
+        self.see_ahead()
+        samples, self._samples = self._samples, []
+        return self.record.blocks(samples) if samples else []
+
+    def see_ahead(self) -> None:
+        """Let the record see the motion of samples that wait."""
+        if self._held:
+            self.record.see_ahead([sample for sample, _ in self._held])

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""When the posterior of a press is solved anew, and with how much care."""
+
+from __future__ import annotations
+
+from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.search import Care
+from fden_ros.core.estimation.unknowns import LINEAR_DELAY, ORDER
+
+#: It is solved anew when the time since the touch, or the largest compression, has grown by these
+#: factors [1], some 15 times a contact; between two the filter is off by half a deviation.
+_TIME_RATIO, _DEPTH_RATIO = 1.5, 1.25
+#: A long delay is told anew where its standard deviation has fallen to this part [1].
+_TOLD = 0.5
+#: Blocks before the first solution [1]; it is sought from all starts each time that their number
+#: has doubled.
+LEAST_BLOCKS = 4
+
+
+class Schedule:
+    """Of one press, whose blocks it counts.
+
+    Attributes
+    ----------
+    blocks : int
+        So far.
+    is_over : bool
+        The press is.
+    """
+
+    def __init__(self) -> None:
+        self.blocks, self.is_over = 0, False
+        self._blocks_at_starts = 0
+        self._elapsed = self._compression = self._asked_at = 0.0
+        self._shows_delay = False
+
+    @property
+    def can_begin(self) -> bool:
+        """Whether there are blocks enough for a solution."""
+        return self.blocks >= LEAST_BLOCKS
+
+    def is_due(self, elapsed: float, compression: float, best: Hypothesis) -> bool:
+        """Whether a solution is due, after a time [s] and with a largest compression [1]."""
+        return self.can_begin and (
+            elapsed > _TIME_RATIO * self._elapsed
+            or compression > _DEPTH_RATIO * self._compression > 0.0
+            or best.has_moved
+            or best.has_turned
+            or self._has_told_delay(best)
+        )
+
+    def ask(self) -> None:
+        """Let one be due: the filter is too far from the last."""
+        self._elapsed, self._compression = 0.0, 1e-9
+
+    def ended(self, elapsed: float, compression: float, *, shows_delay: bool) -> None:
+        """Take note of a solution, and whether its record shows a long delay."""
+        self._elapsed, self._compression = elapsed, compression
+        self._shows_delay = shows_delay
+
+    def care(self, least: Care, elapsed: float, best: Hypothesis) -> Care:
+        """Return the care of a solution that begins now."""
+        care = Care.LAST if self.is_over else least
+        if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
+            care = max(care, Care.FROM_STARTS)
+        if elapsed >= 2.0 * self._asked_at and _is_order_known(best):
+            care, self._asked_at = max(care, Care.ASKED), elapsed
+        if care >= Care.FROM_STARTS:
+            self._blocks_at_starts = self.blocks
+        return care
+
+    def is_delay_open(self, best: Hypothesis) -> bool:
+        """Whether a long delay is not known so well that the model is linear in it."""
+        delays = best.delays
+        if delays is None:
+            return False
+        (before, sd), (now, _) = delays
+        return not self._shows_delay or max(sd, abs(now - before)) > LINEAR_DELAY
+
+    def _has_told_delay(self, best: Hypothesis) -> bool:
+        """Whether the delay has become known since a solution about which the filter is linear."""
+        delays = best.delays
+        is_open = delays is not None and self.is_delay_open(best)
+        return is_open and delays is not None and delays[1][1] < _TOLD * delays[0][1]
+
+
+def _is_order_known(best: Hypothesis) -> bool:
+    """Whether alpha is as well known as one that has converged, so that it may be claimed."""
+    if best.solved is None or not best.setting.can_tell_mismatch:
+        return False
+    variance = float(best.solved.best.covariance[ORDER, ORDER])
+    return variance <= best.setting.config.converged_order_sd**2
