@@ -405,3 +405,14 @@ def test_a_place_that_is_pressed_again_has_not_recovered_and_is_known() -> None:
     first, again = found[0].estimate, found[2].estimate
     assert first is not None and again is not None
     assert np.all(again.deviations < first.deviations)
+
+
+def test_the_noise_of_the_motion_is_that_of_all_steps_and_not_of_the_last() -> None:
+    estimator = PosteriorEstimator(CONFIG, GEOMETRY, NOISE, 0.005, path_variance=1e-9)
+    list(press(estimator, tissue_of(), motion(0.1, 0.1)))
+    own = estimator.press
+    assert own is not None
+    before = own.compression_sd
+    assert before == pytest.approx(math.sqrt(1e-9 * RATE), rel=0.02)
+    estimator.take(0.1 / RATE, 0.1, 100.0, is_free=False)
+    assert own.compression_sd == pytest.approx(before, rel=0.02)

@@ -99,6 +99,7 @@ class PosteriorEstimator(Estimator):
         self._path_variance = path_variance
         self._time = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
+        self._steps, self._stepped = 0, 0.0  # of the press [1, s]
         self._moments_at = self._stress_before = 0.0
 
     def may_be_of(self, other: PosteriorEstimator, shift: float, log_wider: float) -> None:
@@ -264,6 +265,7 @@ class PosteriorEstimator(Estimator):
                 setting = replace(setting, free=FreeSurface(frozen, self._time))
             hypotheses.append(Hypothesis(past, setting))
         self.press = PressPosterior(hypotheses, self._time, self._compression_sd, way)
+        self._steps, self._stepped = 0, 0.0
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
@@ -272,7 +274,10 @@ class PosteriorEstimator(Estimator):
         """
         assert self.press is not None
         self._time += step
-        sd = math.sqrt(self._path_variance / step) if step > 0.0 else 0.0
+        self._steps += step > 0.0
+        self._stepped += step
+        # By the mean step: the last alone may be short.
+        sd = math.sqrt(self._path_variance * self._steps / self._stepped) if self._steps else 0.0
         self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
 
     def put_away(self) -> None:
