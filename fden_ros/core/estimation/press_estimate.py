@@ -114,14 +114,16 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
 
     The origin is in the compressions that are given [1].
     """
-    setting = one.setting
-    rows = np.zeros((_ORIGIN + 1, component.mean.size))
-    rows[:_ORIGIN, :_ORIGIN] = np.eye(_ORIGIN)
-    rows[_ORIGIN] = setting.by_origin(component.mean.size)
-    mean, covariance = rows @ component.mean, rows @ component.covariance @ rows.T
-    mean[_ORIGIN] -= one.past.shift
-    covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
-    return Component(component.weight, mean, covariance)
+    weight, state, whole = component
+    by_origin = one.setting.by_origin(state.size)
+    with_origin = whole @ by_origin
+    mean, covariance = np.empty(_ORIGIN + 1), np.empty((_ORIGIN + 1, _ORIGIN + 1))
+    mean[:_ORIGIN], mean[_ORIGIN] = state[:_ORIGIN], by_origin @ state - one.past.shift
+    covariance[:_ORIGIN, :_ORIGIN] = whole[:_ORIGIN, :_ORIGIN]
+    covariance[_ORIGIN, :_ORIGIN] = covariance[:_ORIGIN, _ORIGIN] = with_origin[:_ORIGIN]
+    covariance[_ORIGIN, _ORIGIN] = by_origin @ with_origin
+    covariance[:2, :2] += one.setting.config.uncertainty.thickness_sd**2
+    return Component(weight, mean, covariance)
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:

@@ -109,8 +109,8 @@ class SmallMotion:
         values = values - np.log(yields)
         gradient = (gradient + modulus[:, None] * bending) / yields[:, None]
         values -= math.log(geometry.stress_per_force * geometry.length)
-        covariances = np.array([mode.covariance for mode in self.modes])
-        variances = np.einsum("mi,mij,mj->m", gradient, covariances, gradient)
+        pairs = zip(gradient, self.modes, strict=True)
+        variances = np.array([own @ mode.covariance @ own for own, mode in pairs])
         weights = self.weight * np.array([mode.weight for mode in self.modes])
         return LogStiffnesses(weights, values, self.variance_factor * np.maximum(variances, 0.0))
 
