@@ -32,7 +32,7 @@ from fden_ros.core.law.geometry import Geometry
 from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, geometry_of, read_parameter_file, uncertainty_of
+from fden_ros.parameters import check, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
 from fden_ros.ros.plain_node import plain_node
 
@@ -106,7 +106,7 @@ class TissueFeed:
         checked = check({})
         if parameters is not None:
             checked = read_parameter_file(parameters, identifier)
-            geometry = geometry_of(checked)
+            geometry = checked.geometry.build()
         self._knows_geometry = geometry is not None
         self._node = node
         self._topic = f"{identifier}/estimate"

@@ -5,25 +5,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import pytest
 
 from benchmark.score import Judged, judged
 from benchmark.trial import truth_of
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from simulation.simulate import Recording, simulate
 
 FORCE, DISPLACEMENT = 0, 1
 #: The paper's liver, for what was measured with it as the prior: the numbers, and by name.
 LIVER_FILE = Path(__file__).resolve().parents[1] / "config" / "priors" / "liver.yaml"
-LIVER = pipeline_config(read_parameter_file(LIVER_FILE)).estimator.prior
-LIVER_PARAMETERS = {
-    f"prior.{k}": v for k, v in asdict(read_parameter_file(LIVER_FILE).prior).items()
-}
+_LIVER = read_parameter_file(LIVER_FILE)
+LIVER = _LIVER.core.estimator.prior
+LIVER_PARAMETERS = {k: v for k, v in _LIVER.as_dict().items() if k.startswith("prior.")}
+
+
+def refusal(read: Callable[[Any], object], what: Any) -> str:
+    """Return the one line with which something is refused."""
+    with pytest.raises(InputError) as caught:
+        read(what)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 class Item(NamedTuple):

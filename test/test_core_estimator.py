@@ -15,7 +15,7 @@ from pipeline_helpers import LIVER
 from scipy.special import gamma
 
 from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
 from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.law.geometry import PassThrough, Sphere
 from fden_ros.core.law.relaxation import memory_weights
@@ -58,7 +58,8 @@ def fed(estimator, blocks):
 
 
 def estimator_of(prior=PRIOR, geometry=None, sigma=3.0, bias_sd=0.0, origin_sd=0.0):
-    config, geometry = EstimatorConfig(prior), geometry or PassThrough()
+    config = EstimatorConfig(prior, uncertainty=NOTHING_UNKNOWN)
+    geometry = geometry or PassThrough()
     estimator = FractionalStressEstimator(config, geometry, sigma, origin_sd)
     estimator.begin_contact(bias_sd, 0.0)
     return estimator

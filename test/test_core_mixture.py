@@ -22,7 +22,7 @@ from fden_ros.core.estimation import proposals
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
 from fden_ros.core.estimation.mixture import Component, MaybeZero, moments, with_held
@@ -40,7 +40,7 @@ from fden_ros.simulation.tissue import Column, Tissue
 RATE, PER_BLOCK, NOISE = 250.0, 5, 3.0
 GEOMETRY = FlatPunch(3.14e-4, 0.02)
 TRUTH = FdenModel(700.0, 8.0, 0.15)
-CONFIG = EstimatorConfig(uncertainty=Uncertainty(0.05, 0.2, thickness_sd=0.05))
+CONFIG = EstimatorConfig(uncertainty=replace(LAW_OFF, thickness_sd=0.05))
 
 
 def estimator_of(config: EstimatorConfig = CONFIG, origin_sd: float = 0.005) -> PosteriorEstimator:
@@ -315,7 +315,7 @@ def test_a_new_hypothesis_is_one_new_file(tmp_path: Path, monkeypatch: pytest.Mo
 
 def of_presses(factors: Sequence[float], pause: float = 1.0) -> list[Estimate]:
     found: list[Estimate] = []
-    config = EstimatorConfig(uncertainty=Uncertainty(0.05, 0.2))
+    config = EstimatorConfig(uncertainty=LAW_OFF)
     estimator, tissue = estimator_of(config), tissue_of()
     for k, factor in enumerate(factors):
         if k:

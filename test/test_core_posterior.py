@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
@@ -37,7 +38,7 @@ from simulation.scenario import load_scenario
 
 GEOMETRY = FlatPunch(3.14e-4, 0.02)
 #: A rig and a law without errors; a law that may be off, as it is by default.
-EXACT, LAW_OFF = Uncertainty(), Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
+EXACT, LAW_OFF = NOTHING_UNKNOWN, replace(NOTHING_UNKNOWN, characteristic_sd=0.2)
 ORIGIN_SD, RATE_HZ = 0.01, 500.0
 
 

@@ -19,7 +19,7 @@ from property_helpers import counts
 from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from benchmark.trial import truth_of
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
 from fden_ros.core.estimation.learned_scales import (
     LEAST_SHARE,
     NO_MOTION_EVIDENCE,
@@ -50,7 +50,7 @@ from simulation.trajectory import Approach, Palpation, RampHold
 # What is learned of the rig, and what is not
 
 
-ARM = Uncertainty(compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
+ARM = replace(NOTHING_UNKNOWN, compliance_sd=1.5e-4, delay_sd=0.0025, friction_sd=0.007)
 CONFIG = EstimatorConfig(uncertainty=ARM)
 
 

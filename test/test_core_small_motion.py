@@ -4,12 +4,13 @@
 """N/m that a posterior predicts for a small motion, held against a step of the model itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Record
@@ -23,7 +24,7 @@ ORIGIN_SD, TIME_SCALE = 0.01, 0.1
 
 
 def bent_model(geometry: Geometry, compliance_sd: float = 2e-4) -> PressModel:
-    config = EstimatorConfig(uncertainty=Uncertainty(compliance_sd=compliance_sd))
+    config = EstimatorConfig(uncertainty=replace(NOTHING_UNKNOWN, compliance_sd=compliance_sd))
     unknowns = unknowns_of(config, geometry, ORIGIN_SD, 0.0)
     return PressModel(unknowns, geometry, is_bent=True, last_knot=0.4)
 

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law.geometry import PassThrough
@@ -42,11 +42,9 @@ def drawn(rng):
     )
 
 
-def estimator_of(
-    fractional_order_given=False, order=ORDER, order_sd=ORDER_SD, origin_sd=0.0, bias_sd=0.0
-):
-    prior = replace(LIVER, fractional_order=order, fractional_order_sd=order_sd)
-    config = EstimatorConfig(prior, fractional_order_given=fractional_order_given)
+def estimator_of(origin_sd=0.0, bias_sd=0.0):
+    prior = replace(LIVER, fractional_order=ORDER, fractional_order_sd=ORDER_SD)
+    config = EstimatorConfig(prior, uncertainty=NOTHING_UNKNOWN)
     estimator = PosteriorEstimator(config, PassThrough(), NOISE, origin_sd)
     estimator.begin_contact(bias_sd, 0.0)
     return estimator
@@ -171,7 +169,7 @@ def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
     relaxing = lfilter([1.0], [1.0, -decay], np.diff(motion, prepend=0.0))
     stress = 1000.0 * (motion + relaxing)
     stress += NOISE * np.random.default_rng(0).standard_normal(time.size)
-    uncertainty = Uncertainty(kernel_sd=0.05, characteristic_sd=0.2)
+    uncertainty = replace(NOTHING_UNKNOWN, characteristic_sd=0.2)
     estimator = PosteriorEstimator(
         EstimatorConfig(LIVER, uncertainty=uncertainty), PassThrough(), NOISE, 0.0
     )

@@ -316,6 +316,7 @@ ROOMS = (
     "shipped",
     "written",
     "core.arrays",
+    "core.parameter",
     "core.streams",
     "core.law",
     "core.contact",

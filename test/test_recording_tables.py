@@ -320,12 +320,12 @@ def test_a_recording_without_air_is_told_by_its_first_rise(
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows(air, offset))
     source = open_source(path, check({}))
-    assert (source.parameters.origin.source == "given") is is_touched
-    assert source.parameters.force.measure_bias is not is_touched
+    assert (source.parameters.core.strain_origin is not None) is is_touched
+    assert source.parameters.core.contact.measure_bias is not is_touched
     assert bool(source.set_by_recording) is is_touched
     # An option outdoes what it looks like, and a configured origin is left alone.
     told = open_source(path, check({}), Selection(from_touch=not is_touched))
-    assert (told.parameters.origin.source == "given") is not is_touched
+    assert (told.parameters.core.strain_origin is None) is is_touched
     stated = check({"origin.source": "given", "origin.displacement": 1e-3})
     assert open_source(path, stated).parameters == stated
 
@@ -337,7 +337,7 @@ def test_a_probe_that_goes_back_behind_its_first_place_comes_from_the_air(
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows() + f"41,0.5,1\n42,0,{1e3 * back}\n")
     source = open_source(path, check({}))
-    assert (source.parameters.origin.source == "given") is is_touched
+    assert (source.parameters.core.strain_origin is not None) is is_touched
 
 
 @pytest.mark.parametrize(

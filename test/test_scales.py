@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fden_ros.cli import main
+from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
@@ -29,7 +30,7 @@ def scaled(
     parameters = {
         "geometry.area": 3.14e-4 * size**2,
         "geometry.thickness": 0.02 * size,
-        "prior.linear_stiffness": check({}).prior.linear_stiffness * stress,
+        "prior.linear_stiffness": Prior().linear_stiffness * stress,
         "plausible.force": 1e4,
         **KNOWN_RIG,
         **{name.replace("__", "."): value for name, value in more.items()},

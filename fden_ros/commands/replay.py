@@ -104,7 +104,7 @@ def _shown(result: Replay, as_json: bool) -> int:
     if result.has_identified:
         return 0
     why = "no contact is converged"
-    if parameters.contact.mode == "continuous":
+    if parameters.core.is_continuous:
         why = "no stiffness along the path, which takes a probe that palpates as it slides"
     elif result.has_strokes:
         why = next(words for words in result.warnings if REMEDY in words)
@@ -126,7 +126,7 @@ def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     from fden_ros.offline.remarks import against_the_law
     from fden_ros.parameters import pipeline_config
 
-    if parameters.contact.mode == "continuous" or result.has_strokes:
+    if parameters.core.is_continuous or result.has_strokes:
         return []
     config = pipeline_config(parameters)
     lines = []

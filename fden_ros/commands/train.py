@@ -71,7 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Learn, check, write and print; return the exit code."""
-    from fden_ros.parameters import geometry_of
     from fden_ros.progress import progress
     from fden_ros.tissues.library import units_of
     from fden_ros.tissues.training import (
@@ -85,8 +84,9 @@ def run(args: argparse.Namespace) -> int:
 
     parameters = parameters_of(args)
     contacts, unlearned = _read(args, parameters)
-    geometry = _geometry(parameters) if geometry_of(parameters).is_stated else {}
-    units = units_of(geometry_of(parameters))
+    probe = parameters.geometry.build()
+    geometry = _geometry(parameters) if probe.is_stated else {}
+    units = units_of(probe)
     unknown = UNKNOWN_PRIOR if args.unknown is None else args.unknown
     name, kind = args.name or args.output.stem, str(geometry.get("kind", ""))
 

@@ -22,7 +22,7 @@ from fden_ros.configure.session import Contact, Session
 from fden_ros.configure.statistics import pooled
 from fden_ros.core import ContactSummary, Pipeline
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Prior
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.oscillation.palpation_meter import PalpationMeter
 from fden_ros.core.outputs import Output
@@ -196,7 +196,8 @@ def _noise(session: Session) -> float:
 
 def _windows(motion: _Motion, noise: float) -> Iterator[tuple[float, float]]:
     """Yield frequency [rad/s] and phase [rad] of each window of an oscillation in contact."""
-    meter = PalpationMeter(None, _CLEAR * max(noise, 1e-7), 0.1, EstimatorConfig())
+    config = EstimatorConfig(uncertainty=NOTHING_UNKNOWN)
+    meter = PalpationMeter(None, _CLEAR * max(noise, 1e-7), 0.1, config)
     for time, force, depth in zip(*(values.tolist() for values in motion), strict=True):
         measured = meter.add(time - motion.times[0], depth, force)
         if measured is not None:

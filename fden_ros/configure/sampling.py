@@ -17,9 +17,9 @@ from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, 
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import ContactConfig, least_noise
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
+from fden_ros.core.parameter import TINY
 from fden_ros.core.strokes import REMEDY
 from fden_ros.parameters import Value
-from fden_ros.parameters.parameter import TINY
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02

@@ -22,7 +22,6 @@ from fden_ros.configure.units import Units, find_units
 from fden_ros.configure.weight import Weight, find_weight, weight_findings
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import check
-from fden_ros.parameters.pipeline import geometry_of
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ def _indenter(stated: dict[str, float | str] | None) -> Finding:
         return unknown("indenter", "force and displacement do not show a face or a thickness")
     words = ", ".join(f"{name} {value}" for name, value in stated.items())
     values = {f"geometry.{name}": value for name, value in stated.items()}
-    layer = assumed(geometry_of(check(values)))
+    layer = assumed(check(values).geometry.build())
     evidence = f"as stated; {layer}" if layer else "as stated"
     return Finding("indenter", words, None, evidence, parameters=values)
 

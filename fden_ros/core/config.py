@@ -13,10 +13,16 @@ from fden_ros.core.classification.labelling import DecisionConfig, Labeller, Sur
 from fden_ros.core.classification.relative import RelativeConfig
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.law.geometry import Geometry, GeometryConfig
+from fden_ros.core.parameter import parameter
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams.samples import lateral_distance
 from fden_ros.core.streams.synchronize import SynchronizeConfig
+
+#: Two touches this part of the probe's radius apart [1] are of two sites, which share most of
+#: their tissue but not its memory: so a scan of 3 mm has a site at each touch. Positions are known
+#: to half a millimetre [m] or better.
+_SITE_PART, _LEAST_SITE, _LARGEST_SITE = 0.2, 5e-4, 2e-3
 
 
 @dataclass(frozen=True)
@@ -30,58 +36,125 @@ class PipelineConfig:
     geometry : Geometry
         From force and displacement to stress and strain. It must be stated: with the default
         nothing is converged.
-    synchronize, contact, estimator, plausibility
-        Configuration of those steps.
-    strain_origin : float or None
-        Displacement at which the tissue is free of load [m]; None: found from the force.
-    block_duration : float
-        One estimate per this time [s].
-    block_compression : float
-        A block is cut short when the compression changes by more than this [1].
-    apparent_stiffness_time_scale : float
-        tau of the apparent stiffness [s].
-    decision : DecisionConfig
-        When a tissue is named.
-    relative : RelativeConfig or None
-        Compare each site with those around it that were touched before, not with the library.
-    dither_frequencies : tuple of float
-        Frequencies of the probe's oscillation [Hz], different; empty: there is none.
-    is_continuous : bool
-        The probe stays on the tissue and palpates: no touch is looked for, and what its
-        oscillation tells is put out. `dither_frequencies` then is the palpation's, empty: found.
-    learns_rig : bool
-        What a contact tells of the rig, the next site knows.
-    learns_motion, learns_drift : bool
-        The same of how far the surface moves, and of how far the force's zero drifts.
-    dither_periods : int
-        Periods of the lowest frequency per complex modulus.
     """
 
     library: TissueLibrary | None
-    geometry: Geometry = field(default_factory=lambda: FlatPunch(1e-4, 0.02, is_stated=False))
+    geometry: Geometry = field(default_factory=lambda: GeometryConfig().build())
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
+    plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
+    origin_source: str = parameter(
+        "origin.source",
+        "touch",
+        "Strain origin: found from the force at the touch and refined, or given as a "
+        "displacement.",
+        choices=("touch", "given"),
+    )
+    origin_displacement: float = parameter(
+        "origin.displacement",
+        0.0,
+        "Displacement at zero strain where it is given.",
+        "m",
+        -10.0,
+        10.0,
+    )
+    mode: str = parameter(
+        "contact.mode",
+        "touch",
+        "touch: contacts begin in the air, with G and Gn; continuous: the probe stays on the "
+        "tissue and palpates, and dF/dd along its path is found.",
+        choices=("touch", "continuous"),
+    )
     contact: ContactConfig = field(default_factory=ContactConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    strain_origin: float | None = None
-    block_duration: float = 0.01
-    block_compression: float = 0.005
-    apparent_stiffness_time_scale: float = 0.1
+    learns_rig: bool = parameter(
+        "rig.learn",
+        False,
+        "Learn delay and friction from contact to contact; false: each begins with what is "
+        "stated.",
+    )
+    learns_motion: bool = parameter(
+        "surface.learn_motion",
+        True,
+        "Learn from site to site how little it moves: down to a quarter of surface.motion_sd.",
+    )
+    learns_drift: bool = parameter(
+        "force.learn_drift",
+        True,
+        "Learn from site to site how far the zero drifts: from a quarter of force.drift_sd to "
+        "four times.",
+    )
+    block_duration: float = parameter(
+        "estimate.period", 0.01, "One estimate per this time.", "s", 1e-3, 1.0
+    )
+    block_compression: float = 0.005  #: a larger change of the compression cuts a block short [1]
+    apparent_stiffness_time_scale: float = parameter(
+        "estimate.time_scale",
+        0.1,
+        "Time scale tau of the apparent stiffness.",
+        "s",
+        1e-4,
+        10000.0,
+    )
+    stated_frequencies: tuple[float, ...] = parameter(
+        "dither.frequencies",
+        (0.0,),
+        "Frequencies of a small oscillation of the probe at which the complex modulus is "
+        "measured; 0: there is none.",
+        "Hz",
+        0.0,
+        1000.0,
+        most=8,
+    )
+    dither_periods: int = parameter(
+        "dither.periods",
+        4,
+        "One complex modulus per this number of periods of the lowest frequency.",
+        "1",
+        1,
+        1000,
+    )
+    classification: str = parameter(
+        "classification.mode",
+        "library",
+        "Tell the tissues of the library apart, or how much stiffer each site is than earlier "
+        "ones around it.",
+        choices=("library", "relative"),
+    )
     decision: DecisionConfig = field(default_factory=DecisionConfig)
-    relative: RelativeConfig | None = None
-    dither_frequencies: tuple[float, ...] = ()
-    dither_periods: int = 4
-    learns_rig: bool = False
-    learns_motion: bool = False
-    learns_drift: bool = False
-    is_continuous: bool = False
-    plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
+    relative: RelativeConfig = field(default_factory=RelativeConfig)
+
+    @property
+    def strain_origin(self) -> float | None:
+        """Displacement at which the tissue is free of load [m]; None: found from the force."""
+        return self.origin_displacement if self.origin_source == "given" else None
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether the probe stays on the tissue and palpates, so that no touch is looked for."""
+        return self.mode == "continuous"
+
+    @functools.cached_property
+    def site_distance(self) -> float:
+        """Lateral distance beyond which a contact is at a new site [m]."""
+        own = min(max(_SITE_PART * self.geometry.probe_radius, _LEAST_SITE), _LARGEST_SITE)
+        return self.contact.site_distance or own
+
+    @property
+    def dither_frequencies(self) -> tuple[float, ...]:
+        """Frequencies of the probe's oscillation [Hz], ascending; empty: there is none.
+
+        Of a continuous palpation they are its own, empty: found.
+        """
+        return tuple(sorted({f for f in self.stated_frequencies if f > 0.0}))
 
 
 def labeller_of(config: PipelineConfig) -> Labeller:
     """Return how contacts are labelled."""
-    if config.relative is None:
+    if config.classification == "library":
         return Labeller(config.library, config.estimator, config.decision)
     apart = functools.partial(lateral_distance, config.contact.approach_axis)
-    surroundings = Surroundings(config.relative, apart)
-    ratio = config.relative.ratio
-    return Labeller(config.library, config.estimator, config.decision, ratio, surroundings)
+    relative = config.relative
+    surroundings = Surroundings(relative, config.apparent_stiffness_time_scale, apart)
+    return Labeller(
+        config.library, config.estimator, config.decision, relative.ratio, surroundings
+    )

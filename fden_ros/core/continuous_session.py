@@ -245,9 +245,9 @@ class ContinuousSession:
     def _is_elsewhere(self, place: Place, position: Position | None) -> bool:
         if place.first is None or position is None:
             return (place.first is None) != (position is None)
-        contact = self._config.contact
-        apart = lateral_distance(contact.approach_axis, place.first, position)
-        return apart > contact.site_distance
+        config = self._config
+        apart = lateral_distance(config.contact.approach_axis, place.first, position)
+        return apart > config.site_distance
 
     def _leave(self, stamp_ns: int, *, complete: bool) -> list[Output]:
         place, self._place = self._place, None

@@ -17,6 +17,7 @@ from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.written import written
@@ -24,18 +25,25 @@ from fden_ros.written import written
 
 @dataclass(frozen=True)
 class PlausibilityConfig:
-    """What a contact cannot exceed, where the units are right.
+    """What a contact cannot exceed, where the units are right."""
 
-    Parameters
-    ----------
-    most_force : float
-        Largest force of a contact [N]; counts under a flat punch or a sphere.
-    least_strain_rate : float
-        Strain over time from the touch on [1/s], where samples come slower than 2 Hz; 0: any.
-    """
-
-    most_force: float = 200.0
-    least_strain_rate: float = 1e-3
+    most_force: float = parameter(
+        "plausible.force",
+        200.0,
+        "flat_punch, sphere: a contact of more force is implausible, and never converged.",
+        "N",
+        TINY,
+        1e9,
+    )
+    least_strain_rate: float = parameter(
+        "plausible.strain_rate",
+        0.001,
+        "A press strained slower than this and sampled slower than 2 Hz is implausible; 0: any "
+        "is plausible.",
+        "1/s",
+        0.0,
+        1.0,
+    )
 
 
 #: Largest sizes, the unit that may have been meant, and its factor: of a face of 14 cm, a body, a

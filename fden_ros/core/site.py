@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import ContactConfig, Onset
+from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.estimate import Estimate
@@ -63,7 +63,7 @@ class Learned(NamedTuple):
 class _Whereabouts:
     """Where a site was touched, and where the probe has gone since."""
 
-    def __init__(self, first: Pair, config: ContactConfig) -> None:
+    def __init__(self, first: Pair, config: PipelineConfig) -> None:
         self._config, self._touched_at = config, first.displacement
         self.touched = self.left = first.position
 
@@ -72,7 +72,7 @@ class _Whereabouts:
         if self.touched is None or position is None:
             return None
         config = self._config
-        apart = lateral_distance(config.approach_axis, self.touched, position)
+        apart = lateral_distance(config.contact.approach_axis, self.touched, position)
         return apart > config.site_distance
 
     def is_dragged(self, pair: Pair) -> bool:
@@ -200,7 +200,7 @@ class Site:
         self.flags = flags
         self.known_rig = rig
         self._config, self._maybe = config, maybe
-        self._whereabouts = _Whereabouts(first, config.contact)
+        self._whereabouts = _Whereabouts(first, config)
         self._lessons = _Lessons(config, rig)
         self._finding = _Finding(config, flags)
         self.origin, self.origin_sd = origin_of(onset, config)

@@ -178,7 +178,7 @@ class Identifier(LifecycleNode):
             self._publishers_made[topic.name] = self.create_lifecycle_publisher(
                 topic.message_type,
                 f"~/{topic.name}",
-                topic.profile(parameters.estimate.period),
+                topic.profile(parameters.core.block_duration),
                 qos_overriding_options=OVERRIDABLE,
             )
         self._services_made = [

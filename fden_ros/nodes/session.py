@@ -156,7 +156,7 @@ class Session:
     def _reader(self, topic: str, kind: str) -> Callable[[bytes], None]:
         """Return what reads the bytes of a message, with the stamp that is asked for."""
         read = handler_of(topic, kind, decoder(kind), self.inputs)
-        if self._parameters.synchronize.stamp_source == "header":
+        if self._parameters.stamp_source == "header":
             return read
         backlog = self.backlog
         return lambda data: read(restamped_data(data, kind, backlog.received_ns))

@@ -71,7 +71,7 @@ class Work:
 
     def digest(self) -> str:
         """Return what tells this configuration from others, the tissue library included."""
-        library = load_library(self.parameters.classifier.library or None)
+        library = load_library(self.parameters.library or None)
         parts = [__version__, self.parameters.as_dict(), asdict(self.selection), repr(library)]
         text = json.dumps(parts, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:32]

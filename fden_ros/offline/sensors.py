@@ -32,7 +32,7 @@ def sensors_of(
     InputError
         Where neither says noise and rate of the force.
     """
-    found = {"force noise": parameters.force.noise}
+    found = {"force noise": parameters.core.contact.force_noise}
     for path in files:
         for stream, quantity, number, unit in _MEASURED.findall(path.read_text(encoding="utf-8")):
             found[f"{stream} {quantity}"] = float(number) * _UNITS.get(unit, 1.0)

@@ -35,7 +35,7 @@ def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
         return _of_sphere(geometry, deepest)
     if not isinstance(geometry, FlatPunch) or geometry.poisson_ratio is not None:
         return ""
-    is_wide = 2.0 * geometry.face_radius > geometry.thickness
+    is_wide = 2.0 * geometry.probe_radius > geometry.thickness
     return _of_face(geometry) if is_wide and geometry.area < UNKNOWN_AREA else ""
 
 
@@ -60,7 +60,7 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
 
 def _of_face(punch: FlatPunch) -> str:
     def raised(thickness: float) -> float:
-        ratio = min(punch.face_radius / thickness, _WIDEST)
+        ratio = min(punch.probe_radius / thickness, _WIDEST)
         return 2.0 * hayes_factor(ratio, 0.5, is_bonded=punch.is_bonded) / (0.75 * math.pi * ratio)
 
     return (

@@ -3,9 +3,10 @@
 
 """The parameters of the identifier: declared, checked, read from files, handed to the core.
 
-One table (:mod:`~fden_ros.parameters.table`) drives the node's declarations, the checks, the
-parameter files and the documentation. :func:`check` turns names and values into a frozen
-:class:`Parameters`; :func:`pipeline_config` turns that into the core's configuration.
+The fields of the core's configuration, and of :mod:`~fden_ros.parameters.table` what is of
+messages and frames, drive the node's declarations, the checks and the parameter files.
+:func:`check` turns names and values into a frozen :class:`Parameters`; :func:`pipeline_config`
+completes the core's configuration in it.
 
 >>> check({"geometry.area": 2e-4}).geometry.area
 0.0002
@@ -15,7 +16,6 @@ from fden_ros.parameters.files import read_parameter_file, read_parameter_files
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     frames_config,
-    geometry_of,
     moves_probe,
     pipeline_config,
     surface_axis,
@@ -41,7 +41,6 @@ __all__ = [
     "Value",
     "check",
     "frames_config",
-    "geometry_of",
     "moves_probe",
     "pipeline_config",
     "read_parameter_file",

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,31 +20,24 @@ Vector = tuple[float, float, float]
 class Parameter:
     """One parameter of the identifier.
 
-    Parameters
-    ----------
-    name : str
-    default : bool, int, float, str or list of float
-        Also fixes the type.
-    unit : str
-        SI unit, "1" where there is none.
-    description : str
-    minimum, maximum : float
-        Inclusive range of a number.
-    choices : tuple of str
-        What a text may be; empty: anything.
-    most : int
-        How many numbers a list may have; 0: it is a vector, of three that are not all 0.
+    Its fields are those of :func:`fden_ros.core.parameter.parameter`, but for a default as a
+    parameter file has it.
     """
 
     name: str
     default: Value
-    unit: str
     description: str
+    unit: str = "1"
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
-    may_be_zero: bool = False  #: of a vector; of a number, beside its range
+    may_be_zero: bool = False
     most: int = 0
+
+    @property
+    def group(self) -> str:
+        """What stands before the dot of its name."""
+        return self.name.partition(".")[0]
 
     @property
     def type_name(self) -> str:
@@ -131,40 +123,3 @@ class Parameter:
 
 #: Units that values are often given in, and their factor to those of the parameters.
 _OTHER_UNITS = {"m": ("mm", 1e-3), "m^2": ("mm^2", 1e-6), "s": ("ms", 1e-3)}
-#: Least value of a parameter that must be above 0: the face of a tip of 1 nm has 3e-18 m^2.
-TINY = 1e-18
-
-# Fields of the dataclasses that make the table. Typed as Any, as `dataclasses.field` is in effect.
-
-
-def number(
-    default: float | tuple[float, ...],
-    unit: str,
-    description: str,
-    minimum: float = -math.inf,
-    maximum: float = math.inf,
-    *,
-    may_be_zero: bool = False,
-    most: int = 0,
-) -> Any:
-    """Return the field of a number in an inclusive range, or of 1 to `most` of them, or three.
-
-    It is whole where its default is; it may be 0 beside the range, or three of them all 0.
-    """
-    limits = {"minimum": minimum, "maximum": maximum, "may_be_zero": may_be_zero, "most": most}
-    return _field(default, unit, description, **limits)
-
-
-def flag(default: bool, description: str) -> Any:
-    """Return the field of true or false."""
-    return _field(default, "1", description)
-
-
-def text(default: str, description: str, *, choices: tuple[str, ...] = ()) -> Any:
-    """Return the field of a text, one of `choices` where there are any."""
-    return _field(default, "1", description, choices=choices)
-
-
-def _field(default: Any, unit: str, description: str, **constraint: Any) -> Any:
-    metadata = {"unit": unit, "description": description, **constraint}
-    return dataclasses.field(default=default, metadata=metadata)

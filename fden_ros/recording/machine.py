@@ -80,7 +80,7 @@ def machine_values(
         "origin.source": "given",
         "origin.displacement": sign * places[0],
         "force.measure_bias": False,
-        "plausible.force": max(parameters.plausible.force, _PLAUSIBLE_FORCE),
+        "plausible.force": max(parameters.core.plausibility.most_force, _PLAUSIBLE_FORCE),
     }
     why = "by --from-touch"
     if from_touch is None:
@@ -124,9 +124,9 @@ def begins_at_touch(rows: Sequence[Row], signs: tuple[float, float] = (1.0, 1.0)
 def _is_default(parameters: Parameters) -> bool:
     """Return whether neither the origin nor the force's bias was configured."""
     return (
-        parameters.contact.mode == "touch"
-        and parameters.origin.source == "touch"
-        and parameters.force.measure_bias
+        not parameters.core.is_continuous
+        and parameters.core.strain_origin is None
+        and parameters.core.contact.measure_bias
     )
 
 

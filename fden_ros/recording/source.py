@@ -130,9 +130,7 @@ class BagSource:
         self.reader = BagReader(path)
         self.parameters = parameters
         self._selection = selection
-        self._is_stamped = selection.stamps == "header" and (
-            parameters.synchronize.stamp_source == "header"
-        )
+        self._is_stamped = selection.stamps == "header" and parameters.stamp_source == "header"
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
         # The surface and the like first: what carries them could be taken for the displacement.

@@ -75,7 +75,7 @@ def page(session: Session) -> str:
             _row(s, on_path=on_path, alone=s.contact_id in session.replay.with_stiffness_alone)
             for s in summaries
         ],
-        time_scale=f"{session.parameters.estimate.time_scale:g}",
+        time_scale=f"{session.config.apparent_stiffness_time_scale:g}",
         contacts=[_contact(session, contact) for contact in detailed],
         left_out=0 if on_path else max(0, len(summaries) - DETAILED_CONTACTS),
         open_contacts=len(summaries) <= _OPEN_CONTACTS,
@@ -117,7 +117,7 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
 
 def _headline(session: Session) -> str:
     summaries = session.replay.summaries
-    if session.parameters.contact.mode == "continuous" or not summaries:
+    if session.config.is_continuous or not summaries:
         return ""
     sites = len({summary.site_id for summary in summaries})
     converged = sum(summary.converged for summary in summaries)

@@ -26,7 +26,7 @@ def sentence(session: Session) -> str:
     summaries = session.replay.summaries
     if is_path(summaries):
         return _of_path([summary for summary in summaries if summary.is_of_path])
-    if session.parameters.contact.mode == "continuous":
+    if session.config.is_continuous:
         return "No stiffness is known on the path: it takes a probe that palpates as it slides."
     if not summaries:
         return "No contact was found."

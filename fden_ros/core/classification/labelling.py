@@ -27,6 +27,7 @@ from fden_ros.core.classification.relative import (
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
+from fden_ros.core.parameter import parameter
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 
 #: An unknown place becomes known when its typicality exceeds the significance by this factor.
@@ -35,25 +36,41 @@ _TEST_HYSTERESIS = 2.0
 
 @dataclass(frozen=True)
 class DecisionConfig:
-    """When a label is given, and when it is taken back.
+    """When a label is given, and when it is taken back."""
 
-    Parameters
-    ----------
-    probability : float
-        A class becomes the label when its probability is at least this [1].
-    release : float
-        It stays the label while its probability is at least this [1]; below `probability`.
-    dwell : float
-        Another answer replaces the label when it has stood for this time [s].
-    significance : float
-        A place is unknown when its typicality, the share of contacts with the best fitting tissue
-        that lie as far from its centre, is below this [1]: the share of false unknowns.
-    """
-
-    probability: float = 0.7
-    release: float = 0.5
-    dwell: float = 0.2
-    significance: float = 0.06
+    probability: float = parameter(
+        "classification.probability",
+        0.7,
+        "A class is named when its probability is at least this.",
+        "1",
+        0.34,
+        1.0,
+    )
+    release: float = parameter(
+        "classification.release",
+        0.5,
+        "It stays named while its probability is at least this.",
+        "1",
+        0.0,
+        1.0,
+    )
+    dwell: float = parameter(
+        "classification.dwell",
+        0.2,
+        "How long another answer must stand before it replaces the one that is named.",
+        "s",
+        0.0,
+        60.0,
+    )
+    significance: float = parameter(
+        "classification.significance",
+        0.06,
+        "library: unknown where less than this part of the contacts with the best fitting tissue "
+        "lies as far from it.",
+        "1",
+        0.0,
+        0.5,
+    )
 
 
 class Decider:
@@ -173,14 +190,19 @@ class Surroundings:
     Parameters
     ----------
     config : RelativeConfig
+    time_scale : float
+        tau of the stiffness [s].
     distance : callable
         Of two positions [m].
     """
 
     def __init__(
-        self, config: RelativeConfig, distance: Callable[[Position, Position], float]
+        self,
+        config: RelativeConfig,
+        time_scale: float,
+        distance: Callable[[Position, Position], float],
     ) -> None:
-        self._config = config
+        self._config, self._time_scale = config, time_scale
         self._distance = distance
         self._sites: dict[int, tuple[Position | None, LogStiffness]] = {}
 
@@ -190,7 +212,7 @@ class Surroundings:
         """Compare a site with those around it, and keep it for those to come."""
         config = self._config
         own = without_prior(likelihood) or (estimate.mean, estimate.covariance)
-        place = log_stiffness(*own, config.strain, config.time_scale)
+        place = log_stiffness(*own, config.strain, self._time_scale)
         around = [
             other
             for other_id, (other_position, other) in self._sites.items()

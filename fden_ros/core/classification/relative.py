@@ -23,6 +23,7 @@ from scipy.special import stdtr, stdtrit
 from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
 from fden_ros.core.law.apparent_stiffness import LogStiffness
+from fden_ros.core.parameter import parameter
 
 #: Answers of the comparison.
 ANSWERS = ("softer", "alike", "stiffer")
@@ -45,24 +46,22 @@ _LARGEST_LOG = 100.0
 
 @dataclass(frozen=True)
 class RelativeConfig:
-    """Strain and time scale of the comparison, and its limits.
+    """Strain of the comparison, and its limits."""
 
-    Parameters
-    ----------
-    ratio : float
-        Stiffer by more than this is ``stiffer``; softer by more ``softer``.
-    strain : float
-        x [1].
-    time_scale : float
-        tau [s].
-    distance : float
-        Surroundings are places within this distance [m]; 0: all.
-    """
-
-    ratio: float = 1.5
-    strain: float = 0.1
-    time_scale: float = 0.1
-    distance: float = 0.0
+    ratio: float = parameter(
+        "classification.ratio", 1.5, "relative: stiffer, or softer, by this.", "1", 1.0, 1000.0
+    )
+    strain: float = parameter(
+        "classification.strain", 0.1, "relative: strain of the comparison.", "1", 0.0, 2.0
+    )
+    distance: float = parameter(
+        "classification.distance",
+        0.0,
+        "relative: surroundings are sites within this distance; 0: all.",
+        "m",
+        0.0,
+        10.0,
+    )
 
 
 @dataclass(frozen=True)

@@ -25,48 +25,83 @@ import numpy as np
 from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.guard import Resolution
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 
 
 @dataclass(frozen=True)
 class ContactConfig:
-    """When a contact begins and ends, and when it is at a new site.
+    """When a contact begins and ends, and when it is at a new site."""
 
-    Parameters
-    ----------
-    force_threshold : float
-        Force above its bias that is a contact [N]; 0: what means over 1 to 16 chunks of the
-        air exceed with a probability of 5e-6.
-    measure_bias : bool
-        Take the force's bias from each approach. False: the force is trusted as it is (after any
-        tare).
-    force_noise : float
-        Standard deviation of the force per sample [N]; 0: measured in the air.
-    noise_floor : float
-        Least force noise that is believed [N], so that a quantised or noise-free signal does not
-        look perfect.
-    lookback : float
-        How far before its detection the onset is looked for [s].
-    site_distance : float
-        Lateral distance beyond which a contact is at a new site [m]; needs positions.
-    site_timeout : float
-        Time in the air after which a contact is at a new site, where there are no positions [s].
-    approach_axis : tuple of float
-        Unit vector into the tissue, in the frame of the positions.
-    series_compliance : float
-        Compliance of tool and robot in series with the tissue [m/N].
-    """
-
-    force_threshold: float = 0.0
-    measure_bias: bool = True
-    force_noise: float = 0.0
-    noise_floor: float = 1e-5
-    lookback: float = 5.0
-    site_distance: float = 0.2 * math.sqrt(1e-4 / math.pi)  # of the usual punch
-    site_timeout: float = 2.0
+    force_threshold: float = parameter(
+        "force.threshold",
+        0.0,
+        "Force above its bias that is a contact; 0: what means over 1 to 16 chunks of the air "
+        "exceed with a probability of 5e-6.",
+        "N",
+        0.0,
+        1000.0,
+    )
+    force_noise: float = parameter(
+        "force.noise",
+        0.0,
+        "Standard deviation of the force's noise per sample; 0: measured in the air before each "
+        "contact.",
+        "N",
+        0.0,
+        1000.0,
+    )
+    noise_floor: float = parameter(
+        "force.noise_floor",
+        1e-5,
+        "Least noise that is believed, so that a quantised signal does not look perfect.",
+        "N",
+        TINY,
+        1000.0,
+    )
+    measure_bias: bool = parameter(
+        "force.measure_bias",
+        True,
+        "Measure the force's bias in the air before each contact; false: it is 0 after any tare.",
+    )
+    lookback: float = parameter(
+        "contact.lookback",
+        5.0,
+        "How far before its detection the onset of a contact is looked for; or 24 times 3 "
+        "samples, where those last longer.",
+        "s",
+        0.1,
+        60.0,
+    )
+    site_distance: float = parameter(
+        "site.distance",
+        0.0,
+        "A touch further to the side is a new site, where positions are known; 0: a fifth of the "
+        "probe's radius, 0.5 to 2 mm.",
+        "m",
+        0.0,
+        1.0,
+    )
+    site_timeout: float = parameter(
+        "site.timeout",
+        2.0,
+        "Without positions, a touch after a longer time in the air is a new site, and is followed "
+        "as the place of the last one too, until the data say which.",
+        "s",
+        0.0,
+        100000.0,
+    )
+    series_compliance: float = parameter(
+        "displacement.compliance",
+        0.0,
+        "Compliance of tool and robot in series with the tissue; taken off the displacement.",
+        "m/N",
+        0.0,
+        1.0,
+    )
+    #: Unit vector into the tissue, in the frame of the positions; zeros: it is not known.
     approach_axis: Position = (0.0, 0.0, 1.0)
-    series_compliance: float = 0.0
 
     def compliance_free(self, pair: Pair, force: float) -> float:
         """Return the displacement of the tissue's surface [m], without the tool's own give."""

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.parameter import parameter
 
 
 @dataclass(frozen=True)
@@ -22,15 +23,35 @@ class Prior:
     and alpha from 0.02 to 0.6.
     """
 
-    #: Medians of G [Pa s^alpha] and Gn [1], both log-normal.
-    linear_stiffness: float = 3200.0
-    #: Standard deviations of ln G and ln Gn [1].
-    linear_stiffness_log_sd: float = 2.9
-    nonlinear_stiffness: float = 6.3
-    nonlinear_stiffness_log_sd: float = 0.92
-    #: alpha [1] and its standard deviation [1].
-    fractional_order: float = 0.31
-    fractional_order_sd: float = 0.145
+    linear_stiffness: float = parameter(
+        "prior.linear_stiffness",
+        3200.0,
+        "Median of G before the touch.",
+        "Pa s^alpha",
+        1e-3,
+        1e9,
+    )
+    linear_stiffness_log_sd: float = parameter(
+        "prior.linear_stiffness_log_sd", 2.9, "Standard deviation of ln G.", "1", 1e-3, 5.0
+    )
+    nonlinear_stiffness: float = parameter(
+        "prior.nonlinear_stiffness", 6.3, "Median of Gn before the touch.", "1", 0.1, 100.0
+    )
+    nonlinear_stiffness_log_sd: float = parameter(
+        "prior.nonlinear_stiffness_log_sd", 0.92, "Standard deviation of ln Gn.", "1", 0.01, 2.0
+    )
+    fractional_order: float = parameter(
+        "prior.alpha",
+        0.31,
+        "Median of alpha before the touch, or alpha itself where alpha.learn is false; "
+        "0: a spring.",
+        "1",
+        0.0,
+        0.6,
+    )
+    fractional_order_sd: float = parameter(
+        "prior.alpha_sd", 0.145, "Standard deviation of alpha.", "1", 0.0, 0.3
+    )
 
     @property
     def mean(self) -> Array:
@@ -69,18 +90,72 @@ class Observation(enum.Enum):
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is not known of model and rig, as standard deviations; 0: nothing."""
+    """What is not known of model and rig, by default of an arm; 0: nothing."""
 
-    #: Relative deviations of relaxation kernel and characteristic from the law [1].
-    kernel_sd: float = 0.0
-    characteristic_sd: float = 0.0
-    surface_motion_sd: float = 0.0  #: way of the tissue's surface in one second [m]
-    force_drift_sd: float = 0.0  #: change of the force's zero in one second of contact [N]
-    friction_sd: float = 0.0  #: friction against the motion of the probe [N]
-    #: Compliance of tool and robot that `displacement` does not allow for [m/N].
-    compliance_sd: float = 0.0
-    delay_sd: float = 0.0  #: delay between force and displacement [s]
-    thickness_sd: float = 0.0  #: relative deviation of the geometry's length [1]
+    characteristic_sd: float = parameter(
+        "model_error.sd",
+        0.2,
+        "Relative standard deviation of the stress-strain curve from the law over a factor e of "
+        "stress; the relaxation's is a quarter of it. 0: the law is exact.",
+        "1",
+        0.0,
+        1.0,
+    )
+    surface_motion_sd: float = parameter(
+        "surface.motion_sd",
+        0.00012,
+        "Standard deviation of its motion in one second that is not measured, as by breathing; "
+        "0: it rests.",
+        "m",
+        0.0,
+        0.1,
+    )
+    force_drift_sd: float = parameter(
+        "force.drift_sd",
+        0.005,
+        "Standard deviation of the drift of the force's zero in one second of contact; 0: none.",
+        "N",
+        0.0,
+        1000.0,
+    )
+    friction_sd: float = parameter(
+        "force.friction_sd",
+        0.007,
+        "Standard deviation of the friction that force.friction leaves; 0: none.",
+        "N",
+        0.0,
+        1000.0,
+    )
+    compliance_sd: float = parameter(
+        "displacement.compliance_sd",
+        0.0002,
+        "Standard deviation of the compliance that displacement.compliance leaves; 0: none.",
+        "m/N",
+        0.0,
+        1.0,
+    )
+    delay_sd: float = parameter(
+        "displacement.delay_sd",
+        0.0025,
+        "Standard deviation of the delay that displacement.delay leaves; 0: none. Above 0.01 each "
+        "press learns it, and nothing is claimed before it is known.",
+        "s",
+        0.0,
+        0.1,
+    )
+    thickness_sd: float = parameter(
+        "geometry.thickness_sd",
+        0.02,
+        "Relative standard deviation of the thickness, or of a sphere's radius; 0: exact.",
+        "1",
+        0.0,
+        1.0,
+    )
+
+    @property
+    def kernel_sd(self) -> float:
+        """Relative standard deviation of the relaxation kernel from the law [1]."""
+        return KERNEL_SHARE * self.characteristic_sd
 
     @property
     def rig_sd(self) -> tuple[float, float]:
@@ -89,7 +164,7 @@ class Uncertainty:
 
 
 #: A model and a rig that are exact.
-NOTHING_UNKNOWN = Uncertainty()
+NOTHING_UNKNOWN = Uncertainty(**{field.name: 0.0 for field in fields(Uncertainty)})
 
 
 @dataclass(frozen=True)
@@ -97,21 +172,65 @@ class EstimatorConfig:
     """Prior, observation, and thresholds of convergence."""
 
     prior: Prior = Prior()
-    #: STRESS learns alpha as well; FRACTIONAL_STRESS is the paper's way.
-    observation: Observation = Observation.STRESS
-    #: alpha is not learned; its deviation counts all the same. Always so with FRACTIONAL_STRESS.
-    fractional_order_given: bool = False
-    #: Gn, G and alpha have converged only while the standard deviations of ln Gn, ln G and alpha
-    #: are at most these [1].
-    converged_log_sd: float = 0.05
-    converged_linear_log_sd: float = 0.5
-    converged_order_sd: float = 0.05
-    #: Gn is observable only while P(largest strain > 1/Gn) is at least this [1].
-    converged_probability: float = 0.99
-    #: What is not known of model and rig. Whether the model's error is there at all, the evidence
-    #: of the data decides.
+    observation: Observation = parameter(
+        "estimator.observation",
+        Observation.STRESS,
+        "What is observed: the stress, or the fractional stress, the paper's way, which does not "
+        "learn alpha.",
+    )
+    learns_fractional_order: bool = parameter(
+        "alpha.learn",
+        True,
+        "Learn alpha together with G and Gn; false: it is prior.alpha, and counts with "
+        "prior.alpha_sd.",
+    )
+    converged_log_sd: float = parameter(
+        "converged.log_sd",
+        0.1,
+        "Gn has converged only while the standard deviation of ln Gn is below this.",
+        "1",
+        1e-4,
+        1.0,
+    )
+    converged_linear_log_sd: float = parameter(
+        "converged.linear_log_sd",
+        0.5,
+        "G has converged only while the standard deviation of ln G is below this.",
+        "1",
+        1e-4,
+        5.0,
+    )
+    converged_order_sd: float = parameter(
+        "converged.alpha_sd",
+        0.05,
+        "alpha has converged only while its standard deviation is below this.",
+        "1",
+        1e-4,
+        1.0,
+    )
+    converged_probability: float = parameter(
+        "converged.probability",
+        0.99,
+        "Gn is observable only while the strain has passed 1/Gn with this probability.",
+        "1",
+        0.5,
+        1.0,
+    )
+    #: The evidence of the data decides whether the model's error is there at all.
     uncertainty: Uncertainty = Uncertainty()
-    friction: float = 0.0  #: friction that is expected [N]; counts where its deviation is not 0
+    friction: float = parameter(
+        "force.friction",
+        0.0,
+        "Friction against the motion of the probe; counts where force.friction_sd is not 0.",
+        "N",
+        -1000.0,
+        1000.0,
+    )
+
+    @property
+    def fractional_order_given(self) -> bool:
+        """Whether alpha is stated; its standard deviation counts all the same."""
+        return not self.learns_fractional_order
 
     @property
     def is_order_given(self) -> bool:

@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.layer import TERMS, hayes_factor, sphere_series
+from fden_ros.core.parameter import TINY, parameter
 
 #: The most that a flat punch reaches in thicknesses, and a sphere on a thick tissue in radii [1].
 _DEEPEST_FLAT, _DEEPEST_SPHERE = 1.0, 4.64
@@ -79,6 +80,11 @@ class Geometry(ABC):
     @abstractmethod
     def stress_per_force(self) -> float:
         """Stress per force [Pa/N]."""
+
+    @property
+    def probe_radius(self) -> float:
+        """Radius of the probe, as if it were round [m]; 0: not known."""
+        return 0.0
 
     @property
     def series(self) -> tuple[float, ...]:
@@ -153,7 +159,7 @@ class FlatPunch(Geometry):
         return _DEEPEST_FLAT
 
     @property
-    def face_radius(self) -> float:
+    def probe_radius(self) -> float:
         """Radius of a round face of that area [m]."""
         return math.sqrt(self.area / math.pi)
 
@@ -167,9 +173,9 @@ class FlatPunch(Geometry):
         """1/A; with Hayes' correction (1 - nu^2) / (2 a kappa h), so that f = E x if elastic."""
         if self.poisson_ratio is None:
             return 1.0 / self.area
-        ratio, nu = self.face_radius / self.thickness, self.poisson_ratio
+        ratio, nu = self.probe_radius / self.thickness, self.poisson_ratio
         kappa = hayes_factor(ratio, nu, is_bonded=self.is_bonded)
-        return (1.0 - nu**2) / (2.0 * self.face_radius * kappa * self.thickness)
+        return (1.0 - nu**2) / (2.0 * self.probe_radius * kappa * self.thickness)
 
 
 @dataclass(frozen=True)
@@ -210,6 +216,11 @@ class Sphere(Geometry):
 
     @property
     def length(self) -> float:
+        """Radius of the tip [m]."""
+        return self.radius
+
+    @property
+    def probe_radius(self) -> float:
         """Radius of the tip [m]."""
         return self.radius
 
@@ -303,6 +314,11 @@ class TorsionalRheometer(Geometry):
         return 2.0 * self.height / self.radius
 
     @property
+    def probe_radius(self) -> float:
+        """Radius of the sample [m]."""
+        return self.radius
+
+    @property
     def stress_per_force(self) -> float:
         """Mean stress per torque [Pa / (N m)]."""
         return 1.0 / (math.pi * self.radius**3)
@@ -317,3 +333,87 @@ class PassThrough(Geometry):
     length: float = 1.0
     stress_per_force: float = 1.0
     is_stated: bool = True
+
+
+_KINDS = FlatPunch, Sphere, TorsionalRheometer, PassThrough
+#: Sizes that stand in for those that are not stated [m^2, m].
+_AREA, _THICKNESS, _RADIUS = 1e-4, 0.02, 0.005
+
+
+@dataclass(frozen=True)
+class GeometryConfig:
+    """How probe and tissue are stated."""
+
+    kind: str = parameter(
+        "geometry.kind",
+        FlatPunch.kind,
+        "How force and displacement become stress and strain.",
+        choices=tuple(one.kind for one in _KINDS),
+    )
+    area: float = parameter(
+        "geometry.area",
+        0.0,
+        "flat_punch: area of the probe's face; 0: not stated, so nothing is converged.",
+        "m^2",
+        TINY,
+        1.0,
+        may_be_zero=True,
+    )
+    thickness: float = parameter(
+        "geometry.thickness",
+        0.0,
+        "flat_punch, sphere: thickness of the tissue on its rigid base; torsional_rheometer: "
+        "height of the sample; 0: not stated, under a sphere then thick.",
+        "m",
+        1e-9,
+        1.0,
+        may_be_zero=True,
+    )
+    radius: float = parameter(
+        "geometry.radius",
+        0.0,
+        "sphere: radius of the tip; torsional_rheometer: radius of the sample; 0: not stated.",
+        "m",
+        1e-9,
+        1.0,
+        may_be_zero=True,
+    )
+    hayes: bool = parameter(
+        "geometry.hayes",
+        False,
+        "flat_punch: divide by Hayes' factor, for a probe smaller than the tissue around it.",
+    )
+    bonded: bool = parameter(
+        "geometry.bonded",
+        True,
+        "The base holds the tissue; false: the tissue slips on it. Counts with hayes, and under a "
+        "sphere with a thickness.",
+    )
+    poisson_ratio: float = parameter(
+        "geometry.poisson_ratio",
+        0.5,
+        "Poisson's ratio of a layer that its base holds: with hayes, or under a sphere with a "
+        "thickness.",
+        "1",
+        0.0,
+        0.5,
+    )
+
+    def build(self) -> Geometry:
+        """Return the geometry.
+
+        It is not stated where a size that its kind needs is 0; another one stands in for it.
+        """
+        area, radius = self.area or _AREA, self.radius or _RADIUS
+        thickness = self.thickness or _THICKNESS
+        has_thickness, has_radius = self.thickness > 0.0, self.radius > 0.0
+        if self.kind == Sphere.kind:
+            depth = self.thickness or math.inf
+            return Sphere(radius, depth, self.poisson_ratio, self.bonded, is_stated=has_radius)
+        if self.kind == TorsionalRheometer.kind:
+            return TorsionalRheometer(radius, thickness, is_stated=has_radius and has_thickness)
+        if self.kind == PassThrough.kind:
+            return PassThrough()
+        poisson_ratio = self.poisson_ratio if self.hayes else None
+        is_stated = self.area > 0.0 and has_thickness
+        return FlatPunch(area, thickness, poisson_ratio, self.bonded, is_stated=is_stated)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Join, JoinLimits, Matched, Passed
@@ -39,38 +40,57 @@ _ROUNDING_VARIANCE = 4.0 / 12.0
 
 @dataclass(frozen=True)
 class SynchronizeConfig:
-    """How streams are checked and paired; times in seconds.
+    """How streams are checked and paired."""
 
-    Parameters
-    ----------
-    displacement_delay : float
-        The displacement's stamps lag the force's by this much [s]; may be negative.
-    max_gap : float
-        Displacement samples further apart than this, and than 2 usual steps of the force, are not
-        interpolated between [s].
-    pairing_window : float
-        A sample waits at most this long, in stamps, for its partner [s]; or 4 usual steps of its
-        stream, where they are longer.
-    force_limit, displacement_limit : float
-        Larger magnitudes are rejected as out of range [N, m].
-    takes_surface : bool
-        A force waits for the surface around it too, which is taken off the displacement.
-    surface_delay : float
-        The surface's stamps lag the force's by this much [s]; may be negative.
-    frames : FramesConfig, optional
-        A force waits for the transforms around it too, whose stamps lag like the displacement's.
-    tool_path : ToolPathConfig, optional
-        The displacement is the probe's along its own axis.
-    """
-
-    displacement_delay: float = 0.0
-    max_gap: float = 0.25
-    pairing_window: float = 5.0
-    force_limit: float = 1e5
-    displacement_limit: float = 10.0
+    displacement_delay: float = parameter(
+        "displacement.delay",
+        0.0,
+        "How much later than the force the displacement is stamped for the same instant.",
+        "s",
+        -10.0,
+        10.0,
+    )
+    max_gap: float = parameter(
+        "synchronize.max_gap",
+        0.25,
+        "Displacement samples further apart, and than 2 usual steps of the force, are not "
+        "interpolated between; a longer gap ends a contact.",
+        "s",
+        1e-4,
+        10.0,
+    )
+    pairing_window: float = parameter(
+        "synchronize.window",
+        5.0,
+        "How long a sample waits, in stamps, for the other stream; or 4 usual steps of its own.",
+        "s",
+        0.01,
+        60.0,
+    )
+    force_limit: float = parameter(
+        "force.limit", 1e5, "Forces of larger magnitude are rejected.", "N", TINY, 1e9
+    )
+    displacement_limit: float = parameter(
+        "displacement.limit",
+        10.0,
+        "Displacements of larger magnitude are rejected.",
+        "m",
+        TINY,
+        1e9,
+    )
+    surface_delay: float = parameter(
+        "surface.delay",
+        0.0,
+        "How much later than the force the surface is stamped for the same instant.",
+        "s",
+        -10.0,
+        10.0,
+    )
+    #: A force waits for the surface around it too, which is subtracted from the displacement.
     takes_surface: bool = False
-    surface_delay: float = 0.0
+    #: A force waits for the transforms around it too, whose stamps lag like the displacement's.
     frames: FramesConfig | None = None
+    #: The displacement is the probe's along its own axis.
     tool_path: ToolPathConfig | None = None
 
 

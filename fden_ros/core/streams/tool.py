@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from fden_ros.core.parameter import parameter
 from fden_ros.core.streams.rotation import (
     Quaternion,
     Transform,
@@ -87,19 +88,6 @@ class ToolPath:
 class ToolWeight:
     """The load of a tool's weight along one axis of the sensor.
 
-    Parameters
-    ----------
-    mass : float
-        Of all that the sensor carries [kg].
-    centre_of_mass : tuple of float
-        In the sensor's frame [m].
-    gravity : tuple of float
-        In the frame that orientations refer to [m/s^2].
-    axis : tuple of float
-        Unit vector in the sensor's frame.
-    is_torque : bool
-        Whether the torque about the axis is wanted, not the force along it.
-
     Examples
     --------
     A tool of 0.2 kg that points down, and then lies on its side:
@@ -111,11 +99,31 @@ class ToolWeight:
     0.0
     """
 
-    mass: float
-    centre_of_mass: Vector
-    gravity: Vector
-    axis: Vector
-    is_torque: bool = False
+    mass: float = parameter(
+        "tool.mass",
+        0.0,
+        "Mass that the force sensor carries, where the tool turns: its weight is taken off the "
+        "force, by the orientation of the displacement's pose or transform.",
+        "kg",
+        0.0,
+        1000.0,
+    )
+    centre_of_mass: Vector = parameter(
+        "tool.centre_of_mass",
+        (0.0, 0.0, 0.0),
+        "Its centre in the sensor's frame; counts for a torque.",
+        "m",
+        may_be_zero=True,
+    )
+    gravity: Vector = parameter(
+        "tool.gravity",
+        (0.0, 0.0, -9.80665),
+        "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
+        "else the other way round.",
+        "m/s^2",
+    )
+    axis: Vector = (0.0, 0.0, 1.0)  #: unit vector in the sensor's frame
+    is_torque: bool = False  #: the torque about the axis is wanted, not the force along it
 
     def load(self, orientation: Quaternion, axis: Vector | None = None) -> float:
         """Return force [N] or torque [N m] of the weight along the axis, or another `axis`.
