@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from pipeline_helpers import refusal
 
 import fden_ros.offline.labelled as labelled
 from fden_ros.cli import main
@@ -50,15 +51,6 @@ def written(tmp_path, data):
     path = tmp_path / "tissues.yaml"
     path.write_text(data if isinstance(data, str) else yaml.safe_dump(data), encoding="utf-8")
     return path
-
-
-def refused(path):
-    with pytest.raises(InputError) as caught:
-        load_library(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert str(path) in message
-    return message
 
 
 def test_built_in_library_has_the_moments_of_table_ii():
@@ -113,7 +105,9 @@ def liver_with(**changes):
     ],
 )
 def test_mistake_is_told_in_one_line_with_the_file(tmp_path, data, said):
-    assert said in refused(written(tmp_path, data))
+    path = written(tmp_path, data)
+    message = refusal(load_library, path)
+    assert said in message and str(path) in message
 
 
 def test_typed_and_learned_tissues_stand_in_one_file(tmp_path):

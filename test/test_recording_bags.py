@@ -21,6 +21,7 @@ from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
+from pipeline_helpers import refusal
 from property_helpers import examples
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
@@ -87,14 +88,6 @@ def write_mcap(
 
 def data_of(path: Path) -> list[bytes]:
     return [message.data for message in BagReader(path).messages()]
-
-
-def refusal(path: Path) -> str:
-    """Return the one line that a path is refused with."""
-    with pytest.raises(InputError) as caught:
-        BagReader(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 # Serialisation
@@ -277,13 +270,14 @@ def test_unusable_paths_are_refused_in_one_line(tmp_path):
     (tmp_path / "text.mcap").write_text("time,force\n")
     write_mcap(tmp_path / "whole.mcap", range(3))
     start = (tmp_path / "whole.mcap").read_bytes()[:20]
-    assert "does not exist" in refusal(tmp_path / "nowhere")
-    assert "holds no bag" in refusal(tmp_path / "folder")
-    assert "is empty" in refusal(tmp_path / "empty.mcap")
-    assert "is no bag" in refusal(tmp_path / "text.mcap")
+    assert "does not exist" in refusal(BagReader, tmp_path / "nowhere")
+    assert "holds no bag" in refusal(BagReader, tmp_path / "folder")
+    assert "is empty" in refusal(BagReader, tmp_path / "empty.mcap")
+    assert "is no bag" in refusal(BagReader, tmp_path / "text.mcap")
     for size in range(1, 21):
         (tmp_path / "cut.mcap").write_bytes(start[:size])
-        assert f"cut off before its first topic, at {size} b" in refusal(tmp_path / "cut.mcap")
+        message = refusal(BagReader, tmp_path / "cut.mcap")
+        assert f"cut off before its first topic, at {size} b" in message
 
 
 def stream(topic: str, message: str, count: int = 20, **options: Any) -> Stream:
