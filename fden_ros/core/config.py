@@ -88,12 +88,7 @@ class PipelineConfig:
     )
     block_compression: float = 0.005  #: a larger change of the compression cuts a block short [1]
     apparent_stiffness_time_scale: float = parameter(
-        "estimate.time_scale",
-        0.1,
-        "Time scale tau of the apparent stiffness.",
-        "s",
-        1e-4,
-        10000.0,
+        "estimate.time_scale", 0.1, "Time scale tau of the apparent stiffness.", "s", 1e-4, 10000.0
     )
     stated_frequencies: tuple[float, ...] = parameter(
         "dither.frequencies",

@@ -24,12 +24,7 @@ class Prior:
     """
 
     linear_stiffness: float = parameter(
-        "prior.linear_stiffness",
-        3200.0,
-        "Median of G before the touch.",
-        "Pa s^alpha",
-        1e-3,
-        1e9,
+        "prior.linear_stiffness", 3200.0, "Median of G before the touch.", "Pa s^alpha", 1e-3, 1e9
     )
     linear_stiffness_log_sd: float = parameter(
         "prior.linear_stiffness_log_sd", 2.9, "Standard deviation of ln G.", "1", 1e-3, 5.0
