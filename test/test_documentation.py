@@ -27,11 +27,19 @@ from property_helpers import first
 import fden_ros.core
 from fden_ros.cli import build_parser, main
 from fden_ros.commands.parameters import parameter_file
-from fden_ros.core import Decision, Flag, OrderSource, Phase, Status, TissueState, site
+from fden_ros.core import (
+    Decision,
+    Flag,
+    OrderSource,
+    Phase,
+    Status,
+    TissueState,
+    paper_filter,
+    site,
+)
 from fden_ros.core.contact import air
 from fden_ros.core.estimation import (
     claims,
-    fractional_stress_estimator,
     law_error,
     maximum,
     posterior_estimator,
@@ -412,7 +420,7 @@ SAID = [
     ("docs/design.md", "and {:.4f} after a change", maximum.CONVERGED),
     ("docs/design.md", "u^2 / (u^2 + {}^2)", unknowns.STRAIN_FLOOR),
     ("docs/design.md", "log evidence gains {}", change.THRESHOLD),
-    ("docs/design.md", "at most {} apart", 2.0 * fractional_stress_estimator._MEMBER_SD),
+    ("docs/design.md", "at most {} apart", 2.0 * paper_filter._MEMBER_SD),
     ("docs/design.md", "with a probability of {:.0e}", air._CHANCE),
     ("config/identifier.yaml", "with a probability of {:.0e}", air._CHANCE),
 ]

@@ -321,6 +321,7 @@ ROOMS = (
     "core.law",
     "core.contact",
     "core.estimation",
+    "core.paper_filter",
     "core.oscillation",
     "core.classification",
     "core.plausibility",

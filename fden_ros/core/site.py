@@ -21,13 +21,13 @@ from fden_ros.core.estimation.claims import Reservations, reserved
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
-from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
 from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.outputs import WITHHELD, Flag
+from fden_ros.core.paper_filter import FractionalStressEstimator
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
     Pair,

@@ -52,7 +52,7 @@ _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
 #: sum is smooth.
 _MEMBER_SD = 0.06
 #: Half the range of the members in prior standard deviations of ln Gn [1]: nine members stand for
-#: the deviation of 0.2, and their sum has it within 5 % (test_core_estimator).
+#: the deviation of 0.2, and their sum has it within 5 % (test_core_paper_filter).
 _GRID_HALF_WIDTH = 2.25
 #: Share of the white-noise variance [1] that remains in f' where the information is, measured on
 #: simulated ramps.

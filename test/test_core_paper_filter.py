@@ -16,9 +16,9 @@ from scipy.special import gamma
 
 from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
-from fden_ros.core.estimation.fractional_stress_estimator import FractionalStressEstimator
 from fden_ros.core.law.geometry import PassThrough, Sphere
 from fden_ros.core.law.relaxation import memory_weights
+from fden_ros.core.paper_filter import FractionalStressEstimator
 
 PRIOR = replace(LIVER, fractional_order_sd=0.0)
 ORDER = PRIOR.fractional_order
