@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from fault_helpers import shift
-from pipeline_helpers import Item, feed
+from pipeline_helpers import Item, feed, summaries_of
 
 from fden_ros.core.outputs import ContactSummary, Flag, Output
 from fden_ros.core.pipeline import Pipeline
@@ -21,6 +21,8 @@ from fden_ros.core.site import Site, SiteState
 from fden_ros.core.site_contact import Contact, Event, State
 from fden_ros.core.streams.samples import Pair
 from fden_ros.parameters import check, pipeline_config
+
+LATE = {"site.timeout": 0.3}
 
 
 def begun(**own: object) -> tuple[Pipeline, list[Output]]:
@@ -150,3 +152,16 @@ def test_a_site_that_has_lost_its_past_says_nothing_and_never_goes_back(loss) ->
         before = site.state
         later(site, contact)
         assert site.state >= before
+
+
+def test_a_touch_that_may_be_elsewhere_leaves_the_estimator_of_the_last_site_as_it_was():
+    pipeline, outputs = begun(**LATE)
+    items = [item._replace(position=None) for item in shift().items]
+    until(pipeline, items, lambda contact: contact.state is State.CLOSED)
+    first = contact_of(pipeline).site
+    before = pickle.dumps(first._estimator)
+    until(pipeline, items, lambda contact: contact.contact_id == 2)
+    second = contact_of(pipeline).site
+    assert second is not first and len(second._estimator._pasts) > 1
+    assert pickle.dumps(first._estimator) == before
+    assert summaries_of(outputs)[0].converged

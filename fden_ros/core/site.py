@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 import math
 import sys
@@ -267,8 +268,11 @@ class Site:
             )
 
     def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
-        """Let the estimator of another site, of tissue at rest, know this tissue: it may be it."""
-        own = self._estimator if self.is_observed else None
+        """Let the estimator of another site, of tissue at rest, know this tissue: it may be it.
+
+        It gets a copy: a later touch here goes on from what was known here.
+        """
+        own = copy.deepcopy(self._estimator) if self.is_observed else None
         if not (isinstance(own, PosteriorEstimator) and isinstance(new, PosteriorEstimator)):
             return
         own.rest(self._pause_until(onset.samples[0].stamp_ns))
