@@ -483,7 +483,7 @@ class Contact:
             return
         drift = drift_evidence(*found) if site.teaches_drift and found.drift_variance else None
         factor = site.known_rig.drift_factor(drift) if drift is not None else 1.0
-        self._drift = drift
+        self._drift = drift if self._is_claimed else None
         if abs(found.deviations) > _CONTRADICTION:
             flag, factor = Flag.FORCE_DRIFTED, max(1.0 + found.deviations**2, factor)
         if factor != 1.0 and was_observed:
