@@ -191,11 +191,6 @@ class Site:
         return self._estimator.change_count if self._estimator is not None else 0
 
     @property
-    def teaches_drift(self) -> bool:
-        """Whether other sites may use what is learned here of the force's drift."""
-        return self._config.learns_drift and self.teaches
-
-    @property
     def _known(self) -> KnownTissue | None:
         """The tissue, where the estimate has converged and the law describes it."""
         estimate = self.usable_estimate

@@ -151,7 +151,7 @@ class _Oscillation:
 
 
 class Contact:
-    """One contact.
+    """One contact: what happens to it is an event of :data:`TRANSITIONS`; a reset drops it.
 
     Parameters
     ----------
@@ -481,7 +481,8 @@ class Contact:
             if was_observed:
                 yield self._second(stamp_ns)
             return
-        drift = drift_evidence(*found) if site.teaches_drift and found.drift_variance else None
+        teaches = self._config.learns_drift and site.teaches and found.drift_variance
+        drift = drift_evidence(*found) if teaches else None
         factor = site.known_rig.drift_factor(drift) if drift is not None else 1.0
         self._drift = drift if self._is_claimed else None
         if abs(found.deviations) > _CONTRADICTION:
