@@ -113,43 +113,6 @@ class Common:
     sums: BlockSums  #: of the present block
 
 
-class _Oscillation:
-    """Complex moduli of a contact, where the probe oscillates."""
-
-    def __init__(self, contact_id: int, site: Site, start_ns: int, config: PipelineConfig) -> None:
-        self._contact_id, self._site, self._start_ns = contact_id, site, start_ns
-        self._geometry = config.geometry
-        frequencies, periods = config.dither_frequencies, config.dither_periods
-        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
-
-    def interrupt(self) -> None:
-        """Begin anew: samples are missing, or do not count."""
-        if self._meter is not None:
-            self._meter.reset()
-
-    def moduli(self, sample: ContactSample, *, is_withheld: bool) -> list[DynamicModulus]:
-        """Return the complex moduli that end with a sample."""
-        if self._meter is None:
-            return []
-        if sample.is_free or is_withheld:
-            self.interrupt()
-            return []
-        estimate = self._site.estimate
-        origin = estimate.strain_origin if estimate is not None else 0.0
-        strain = self._geometry.strain(sample.compression - origin)
-        elapsed = (sample.stamp_ns - self._start_ns) / NANOSECONDS
-        return [
-            DynamicModulus(
-                stamp_ns=sample.stamp_ns,
-                start_ns=self._start_ns + round(modulus.start * NANOSECONDS),
-                site_id=self._site.site_id,
-                contact_id=self._contact_id,
-                modulus=modulus,
-            )
-            for modulus in self._meter.add(elapsed, strain, sample.stress)
-        ]
-
-
 class Contact:
     """One contact: what happens to it is an event of :data:`TRANSITIONS`; a reset drops it.
 
@@ -188,7 +151,8 @@ class Contact:
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
         self._pace = 1
         self._phase = PhaseMeter()
-        self._oscillation = _Oscillation(contact_id, site, self.start_ns, config)
+        frequencies, periods = config.dither_frequencies, config.dither_periods
+        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
         #: The largest so far [1, Pa, N]; the stress is that at the largest force.
         self._max_strain = self._max_stress = self._max_force = 0.0
         self._deepest: float | None = None  # compression from the nominal origin [1]
@@ -286,13 +250,30 @@ class Contact:
         elapsed = (pair.stamp_ns - self.start_ns) / NANOSECONDS
         force = pair.force - self.onset.bias - self.onset.drift * elapsed
         sample = self.site.follow(pair, force, learns=self._is_learning)
-        is_withheld = not self._is_learning or bool(self.flags & WITHHELD)
-        moduli = self._oscillation.moduli(sample, is_withheld=is_withheld)
+        moduli = self._moduli(sample, self._meter) if self._meter is not None else []
         self._count(force)
         outputs: Iterable[Output] = () if is_silent else moduli
         if not self._common.sums.take(sample):
             return outputs
         return itertools.chain(outputs, self._close_block(pair.stamp_ns, is_silent=is_silent))
+
+    def _moduli(self, sample: ContactSample, meter: ComplexModulusMeter) -> list[DynamicModulus]:
+        """Return the complex moduli that end with a sample."""
+        if sample.is_free or not self._is_learning or self.flags & WITHHELD:
+            meter.reset()
+            return []
+        strain = self._strain(sample.compression, self.site.estimate)
+        elapsed = (sample.stamp_ns - self.start_ns) / NANOSECONDS
+        return [
+            DynamicModulus(
+                stamp_ns=sample.stamp_ns,
+                start_ns=self.start_ns + round(modulus.start * NANOSECONDS),
+                site_id=self.site.site_id,
+                contact_id=self.contact_id,
+                modulus=modulus,
+            )
+            for modulus in meter.add(elapsed, strain, sample.stress)
+        ]
 
     def _count(self, force: float) -> None:
         """Count a sample of net force [N]."""
@@ -324,12 +305,13 @@ class Contact:
         phase = self._phase.add(stamp_ns, block.compression)
         if self._deepest is None or block.compression > self._deepest:
             self._deepest = block.compression
-        signals = self._signals(block)
+        strain = self._strain(block.compression, self._estimate)
+        self._max_strain = max(self._max_strain, strain)
         if self._is_learning:
             self._judge_units(stamp_ns)
         if is_silent:
             return
-        yield self._state(stamp_ns, block, signals, phase)
+        yield self._state(stamp_ns, block, strain, phase)
         evidence = Evidence(
             stamp_ns=stamp_ns,
             block=self._common.sums.number,
@@ -367,7 +349,8 @@ class Contact:
             return
         self._see_missing()
         self.site.flags |= Flag.GAP
-        self._oscillation.interrupt()
+        if self._meter is not None:
+            self._meter.reset()
         if is_long:
             yield from self.interrupt(before_ns)
             self.site.withdraw(Flag.GAP)
@@ -531,15 +514,12 @@ class Contact:
     def _estimate(self) -> Estimate | None:
         return self.site.usable_estimate if self._is_learning else None
 
-    def _signals(self, block: Learned) -> Signals:
-        """Return a block's means, the strain from the estimate's origin, and keep the largest."""
-        estimate = self._estimate
+    def _strain(self, compression: float, estimate: Estimate | None) -> float:
+        """Return the strain from the origin of an estimate [1]."""
         origin = estimate.strain_origin if estimate is not None else 0.0
-        strain = self._config.geometry.strain(block.compression - origin)
-        self._max_strain = max(self._max_strain, strain)
-        return Signals(strain, block.stress, block.fractional_stress)
+        return self._config.geometry.strain(compression - origin)
 
-    def _state(self, stamp_ns: int, block: Learned, signals: Signals, phase: Phase) -> TissueState:
+    def _state(self, stamp_ns: int, block: Learned, strain: float, phase: Phase) -> TissueState:
         estimate = self.site.live_estimate if self._is_learning else None
         is_converged = estimate is not None and estimate.converged
         return TissueState(
@@ -551,7 +531,7 @@ class Contact:
             phase=phase,
             order_source=order_source(estimate, self._config.estimator),
             estimate=estimate.stated if estimate is not None else None,
-            signals=signals,
+            signals=Signals(strain, block.stress, block.fractional_stress),
             innovation=block.innovation,
             apparent_stiffness=self._stiffness(estimate, block.compression, block.stress),
         )
@@ -560,9 +540,7 @@ class Contact:
         self, estimate: Estimate | None, compression: float | None, stress: float
     ) -> ApparentStiffness | None:
         """Return it about a compression [1] and stress [Pa]; None while not known."""
-        config = self._config
-        time_scale = config.apparent_stiffness_time_scale
-        geometry = config.geometry
+        geometry, time_scale = self._config.geometry, self._config.apparent_stiffness_time_scale
         return apparent_stiffness_of(estimate, geometry, compression, stress, time_scale)
 
     def _classification(self, stamp_ns: int, answer: Answer) -> Classification:
