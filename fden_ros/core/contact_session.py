@@ -6,16 +6,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
-from fden_ros.core.air_check import AirCheck, Verdict
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.air import least_noise
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import (
+    ContactSummary,
     Flag,
     Output,
     Phase,
@@ -25,37 +25,13 @@ from fden_ros.core.outputs import (
     order_source,
 )
 from fden_ros.core.plausibility import Plausibility, Tilt
-from fden_ros.core.press import Common, Press
 from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
+from fden_ros.core.site_contact import Common, Contact
+from fden_ros.core.streams.samples import Pair, Position
 from fden_ros.core.strokes import Strokes
 
-#: A summary is given this long after the release [ns], where the last solution has been found by
-#: then, and at the latest after this [ns]: what is left of it is done at once.
-_SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
 #: Sites whose tissue is remembered, so that a place that is pressed again is known [1].
 _MOST_VISITED = 16
-
-
-@dataclass
-class _Left:
-    """A contact that has ended, and whose summary has not come yet."""
-
-    press: Press
-    end_ns: int  #: stamp of the release
-    worked_ns: int = 0  #: until when it was worked on the summary; 0: not yet
-
-    def is_due(self, stamp_ns: int) -> bool:
-        """Whether the summary is to be given at a stamp."""
-        elapsed_ns = stamp_ns - self.end_ns
-        is_found = not self.press.site.is_working
-        return elapsed_ns >= (_SUMMARY_AFTER_NS if is_found else _SUMMARY_BY_NS)
-
-    def work(self, stamp_ns: int) -> None:
-        """Go on with the last solution by the work of the time until a stamp."""
-        seconds = (stamp_ns - (self.worked_ns or stamp_ns)) / NANOSECONDS
-        self.worked_ns = stamp_ns
-        self.press.site.work(seconds)
 
 
 class ContactSession:
@@ -89,7 +65,6 @@ class ContactSession:
         self.site_count = self.contact_count = 0
         self._config, self._path_noise, self._flags = config, path_noise, flags
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
-        self._air = AirCheck(config)
         self._tilt = Tilt(config.geometry)
         self._strokes = Strokes()
         self._common = Common(
@@ -111,9 +86,7 @@ class ContactSession:
         """
         self._site: Site | None = None
         self._visited: list[Site] = []
-        self._press: Press | None = None
-        self._left: _Left | None = None
-        self._air.forget()
+        self._contact: Contact | None = None  # the newest
         self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
@@ -124,11 +97,9 @@ class ContactSession:
         """Let the next site begin with what is stated of the rig."""
         self.rig = RigKnowledge.stated(self._config.estimator)
         # These began with what is forgotten now.
-        for site in self._visited:
-            site.teach_nothing()
-        if self._left is not None:
-            self._left.press.site.teach_nothing()
-        self._air.teach_nothing()
+        newest = [self._contact.site] if self._contact is not None else []
+        for site in (*self._visited, *newest):
+            site.teaches = False
 
     @property
     def in_contact(self) -> bool:
@@ -138,10 +109,10 @@ class ContactSession:
     @property
     def place(self) -> tuple[int, int]:
         """Numbers of the present site and contact; 0: there is none."""
-        site_id = self._site.site_id if self._site is not None else 0
-        if self._left is not None:
-            return self._left.press.site.site_id, self._left.press.contact_id
-        return site_id, self._press.contact_id if self._press is not None else 0
+        contact = self._contact
+        if contact is not None and contact.is_open:
+            return contact.site.site_id, contact.contact_id
+        return (self._site.site_id if self._site is not None else 0), 0
 
     @property
     def air_events(self) -> tuple[int, int, bool]:
@@ -184,28 +155,26 @@ class ContactSession:
             return "no force has been measured in the air yet: wait for samples, then tare"
         self._detector.reset()
         # The air from now on has another bias than that before the last contact.
-        self._air.drop()
+        if self._contact is not None:
+            self._contact.drop_air()
         return mean
 
     # Pairs
 
     def take(self, pair: Pair) -> Iterator[Output]:
         """Take a pair; give what comes of it."""
-        event = self._detect(pair)
+        event, contact = self._detect(pair), self._contact
         self._strokes.add(pair, in_contact=self._detector.in_contact)
         if isinstance(event, Onset):
             self._strokes.touch(event)
-            yield from self._report(pair.stamp_ns)
             yield from self._touch(event)
-        elif self._press is None:
+        elif contact is None or contact.has_left:
             yield from self._hover(pair)
-            if self._left and self._left.is_due(pair.stamp_ns):
-                yield from self._report(pair.stamp_ns)
         else:
-            yield from self._press.take(pair)
+            yield from contact.take(pair)
         if isinstance(event, Release):
             self._strokes.release()
-            yield from self._end_press(event.stamp_ns, complete=True)
+            yield from self._release(event.stamp_ns)
 
     def _detect(self, pair: Pair) -> Onset | Release | None:
         try:
@@ -216,14 +185,22 @@ class ContactSession:
 
     def _touch(self, onset: Onset) -> Iterator[Output]:
         first, newest = onset.samples[0], onset.samples[-1]
-        yield from self._heed(self._air.judge(newest.stamp_ns, before_ns=first.stamp_ns))
+        before, stamp_ns = self._site, newest.stamp_ns
+        yield from self._lead(lambda contact: contact.summarize(stamp_ns))
+        yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
         self._tilt.see(newest.tilt)
         site = self._site = self._site_of(onset)
         site.check_history(onset)
         self.contact_count += 1
-        release_force = self._detector.release_threshold
-        self._press = Press(self.contact_count, onset, site, release_force, self._common)
-        yield from self._press.begin(self._path_noise())
+        self._contact = Contact(
+            self.contact_count,
+            onset,
+            site,
+            self._detector.release_threshold,
+            self._common,
+            is_air_proved=self._contact is not None and self._contact.is_air_proved,
+        )
+        yield from self._contact.begin(self._path_noise(), before)
 
     def _site_of(self, onset: Onset) -> Site:
         """Return the site that is touched: the last one, or another."""
@@ -236,8 +213,7 @@ class ContactSession:
         site = self._visited_before(first.position)
         if site is None:
             self.site_count += 1
-            maybe = before if is_elsewhere is None else None
-            site = Site(self.site_count, onset, self._config, self.rig, self._flags, maybe)
+            site = Site(self.site_count, onset, self._config, self.rig, self._flags)
             self._visited = [*self._visited[1 - _MOST_VISITED :], site]
         left_ns = self._detector.left_unseen_ns
         is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
@@ -248,19 +224,25 @@ class ContactSession:
     def _visited_before(self, position: Position | None) -> Site | None:
         """Return the site of an earlier touch at a position; None: there is none to go on from."""
         known = reversed(self._visited)
-        return next((site for site in known if site.is_usable and site.is_at(position)), None)
+        return next((site for site in known if site.is_observed and site.is_at(position)), None)
 
     def _hover(self, pair: Pair) -> Iterator[Output]:
-        """Give a state in the air, one per duration of a block."""
-        yield from self._heed(self._air.hear(pair))
-        if not self._common.sums.passes(pair.stamp_ns):
-            return
-        if self._left is not None:
-            self._left.work(pair.stamp_ns)
+        """Take a pair in the air; give a state per duration of a block, and what is due."""
+        contact, stamp_ns = self._contact, pair.stamp_ns
+        yield from self._lead(lambda contact: contact.hover(pair))
+        if self._common.sums.passes(stamp_ns):
+            if contact is not None:
+                contact.work(stamp_ns)
+            yield self._state(stamp_ns)
+        if contact is not None and contact.is_due(stamp_ns):
+            yield from self._lead(lambda contact: contact.summarize(stamp_ns))
+
+    def _state(self, stamp_ns: int) -> TissueState:
+        """Return the state in the air."""
         site = self._site
         estimate = site.usable_estimate if site is not None else None
-        yield TissueState(
-            stamp_ns=pair.stamp_ns,
+        return TissueState(
+            stamp_ns=stamp_ns,
             # After a jump of the clock the probe may press on a tissue without a site.
             status=Status.UNKNOWN if self._detector.in_contact else Status.NO_CONTACT,
             flags=self._flags | estimate_flags(estimate),
@@ -271,54 +253,32 @@ class ContactSession:
             order_source=order_source(estimate, self._config.estimator),
         )
 
-    def _heed(self, verdict: Verdict) -> Iterator[Output]:
-        """Learn from the air after a contact; give its second summary, if there is one."""
-        if verdict.drift is not None:
-            self.rig = self.rig.drifted(verdict.drift)
-        summary = verdict.summary
-        if summary is None:
+    def _lead(self, step: Callable[[Contact], Iterable[Output]]) -> Iterator[Output]:
+        """Lead the contact on; give what comes of it, a summary with the rig as known by then."""
+        contact = self._contact
+        if contact is None:
             return
-        if summary.estimate is None:
-            self._common.labeller.forget(summary.site_id)
-        yield summary
+        before, outputs = contact.state, list(step(contact))
+        if contact.state is not before:
+            is_newest = contact.site.site_id == self.site_count
+            self.rig = contact.taught(self.rig, is_newest=is_newest)
+        for output in outputs:
+            if isinstance(output, ContactSummary):
+                output = replace(output, rig=self.rig)
+            yield output
 
     # Interruption and end
 
-    def _end_press(self, end_ns: int, *, complete: bool) -> Iterator[Output]:
-        press = self._press
-        if press is None:
+    def _release(self, stamp_ns: int) -> Iterator[Output]:
+        contact = self._contact
+        if contact is None or contact.has_left:
             return
-        yield from press.take_all()
-        # An incomplete contact may go on: the probe has not left.
-        if not complete:
-            if not press.has_ended:
-                yield replace(press.end(end_ns, end_ns, complete=False), rig=self.rig)
-            return
-        if not press.has_ended:
-            press.begin_end()
-            self._left = _Left(press, end_ns)
-            self._air.watch(end_ns, press.site, press.onset)
-        self._press = None
+        yield from contact.release(stamp_ns)
         self._common.sums.clear()
-        if press.is_faint and not press.has_failed:
+        if contact.is_faint:
             # What comes next must not inherit its origin.
             self._visited = [site for site in self._visited if site is not self._site]
             self._site = None
-
-    def _report(self, stamp_ns: int) -> Iterator[Output]:
-        """Give the summary of a contact that has ended with its release."""
-        if self._left is None:
-            return
-        press, end_ns = self._left.press, self._left.end_ns
-        summary = press.end(end_ns, stamp_ns, complete=True)
-        self._left = None
-        # A site that is visited again began with less than is known of the rig by now.
-        is_newest = press.site.site_id == self.site_count
-        if summary.converged and not press.flags and is_newest:
-            self.rig = replace(press.site.rig() or self.rig, drift=self.rig.drift)
-        summary = replace(summary, rig=self.rig)
-        self._air.see(summary)
-        yield summary
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
         """Take note that samples are missing since a stamp.
@@ -327,36 +287,25 @@ class ContactSession:
         """
         if is_long:
             self._strokes.forget()
-        press = self._press
-        if press is None:
-            return
-        press.see_gap()
-        if is_long:
-            yield from self._end_press(before_ns, complete=False)
-            press.site.is_usable = False
+        yield from self._lead(lambda contact: contact.see_gap(before_ns, is_long=is_long))
 
     def break_off(self, stamp_ns: int) -> Iterator[Output]:
         """Give the summary of a contact whose samples end at a stamp."""
-        yield from self._report(stamp_ns)
-        yield from self._end_press(stamp_ns, complete=False)
+        yield from self._lead(lambda contact: contact.summarize(stamp_ns))
+        yield from self._lead(lambda contact: contact.interrupt(stamp_ns))
 
     def finish(self, stamp_ns: int) -> Iterator[Output]:
         """Give what is left to say where no more samples come."""
-        yield from self._report(stamp_ns)
-        yield from self._end_press(stamp_ns, complete=False)
-        yield from self._heed(self._air.judge(stamp_ns))
+        yield from self.break_off(stamp_ns)
+        yield from self._lead(lambda contact: contact.judge(stamp_ns))
 
     def fail(self, stamp_ns: int) -> Iterator[Output]:
         """End contact and site after an exception."""
         self._common.sums.clear()
-        left, self._left = self._left, None
-        press = left.press if left is not None else self._press
-        site = press.site if press is not None else self._site
-        if left is not None:
-            self._air.drop()
+        contact = self._contact
+        site = contact.site if contact is not None and contact.is_open else self._site
         if site is None:
             return
         site.fail()
         self._common.labeller.forget(site.site_id)
-        if press is not None:
-            yield from press.fail(stamp_ns)
+        yield from self._lead(lambda contact: contact.fail(stamp_ns))

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import copy
+import enum
 import math
 import sys
 from typing import NamedTuple
@@ -90,67 +92,12 @@ class _Whereabouts:
         return path**2 > inward**2 + max(least, inward) ** 2
 
 
-class _Finding:
-    """The estimate of a site's data, and what stands against it."""
+class SiteState(enum.IntEnum):
+    """Whether the tissue's past is known; it never goes back."""
 
-    def __init__(self, config: PipelineConfig, flags: Flag) -> None:
-        self._config = config
-        self._own: Estimate | None = None
-        self._variance_factor = 1.0
-        self._is_withheld = bool(flags & WITHHELD)
-        self.estimate: Estimate | None = None
-
-    def update(self, own: Estimate | None) -> None:
-        """Take the newest estimate of the data alone; None: there is none any more."""
-        self._own = own
-        self._reserve()
-
-    def doubt(self, flags: Flag, variance_factor: float) -> None:
-        """Let the flags of the site, and a factor of the covariance, stand against it."""
-        self._is_withheld = bool(flags & WITHHELD)
-        self._variance_factor = max(self._variance_factor, variance_factor)
-        self._reserve()
-
-    def _reserve(self) -> None:
-        self.estimate = own = self._own
-        if own is None:
-            return
-        found = Reservations(
-            variance_factor=self._variance_factor,
-            is_withheld=self._is_withheld,
-        )
-        self.estimate = reserved(self._config.estimator, own, found)
-
-
-class _Lessons:
-    """What the contacts of a site tell of rig and surface, for other sites."""
-
-    def __init__(self, config: PipelineConfig, known: RigKnowledge) -> None:
-        self._config, self._known = config, known
-        self.are_used = True
-        #: For the surface's motion: of the newest contact, and of the first, the only one that
-        #: begins at rest.
-        self._newest: list[float] | None = None
-        self._first: list[float] | None = None
-
-    def motion_factor(self, estimator: Estimator) -> float:
-        """Return the factor of the variances where a contact tells of more motion than known."""
-        teaches = self._config.learns_motion and self.are_used
-        is_asked = teaches or self._known.motion_share < 1.0
-        self._newest = estimator.motion_evidence() if is_asked else None
-        return self._known.motion_factor(self._newest) if self._newest is not None else 1.0
-
-    def rig(self, estimator: Estimator) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-        if not self.are_used:
-            return None
-        known = estimator.rig() if self._config.learns_rig else None
-        if not self._config.learns_motion:
-            return known
-        self._first = self._newest or self._first
-        if self._first is None:
-            return known
-        return (known or self._known).moved(self._first)
+    OBSERVED = 0  #: from the first touch on, or that the tissue was at rest before
+    UNOBSERVED = 1  #: touch or past not seen, dragged, or a long gap
+    FAILED = 2  #: by an exception
 
 
 class Site:
@@ -166,21 +113,24 @@ class Site:
         What is known of the rig before the first touch.
     flags : Flag
         What stands against every estimate.
-    maybe : Site or None
-        The site before, where nothing says that this is another.
 
     Attributes
     ----------
+    state : SiteState
+    flags : Flag
+        What stands against every estimate of the site.
     position : Position or None
         Of the first touch [m].
     origin : float
         Nominal displacement at zero strain [m].
     origin_sd : float
         Its standard deviation, as compression [1].
-    is_usable : bool
-        The history has been seen from the first touch, without a gap.
     known_rig : RigKnowledge
         What was known of the rig before the first touch.
+    teaches : bool
+        Other sites may use what is learned here of rig and surface.
+    estimate : Estimate or None
+        The newest, with no more claimed than may be.
     """
 
     def __init__(
@@ -190,34 +140,37 @@ class Site:
         config: PipelineConfig,
         rig: RigKnowledge,
         flags: Flag = Flag.NONE,
-        maybe: Site | None = None,
     ) -> None:
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
         self.position = first.position
-        self.is_usable = True
+        self.state = SiteState.OBSERVED
         self.flags = flags
         self.known_rig = rig
-        self._config, self._maybe = config, maybe
+        self.teaches = True
+        self.estimate: Estimate | None = None
+        self._own: Estimate | None = None  # of the data alone
+        self._variance_factor = 1.0
+        #: For the surface's motion: of the newest contact, and of the newest that told.
+        self._motion: list[float] | None = None
+        self._told_motion: list[float] | None = None
+        self._config = config
         self._whereabouts = _Whereabouts(first, config)
-        self._lessons = _Lessons(config, rig)
-        self._finding = _Finding(config, flags)
         self.origin, self.origin_sd = origin_of(onset, config)
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
-        self._is_leaving = False
 
     @property
-    def estimate(self) -> Estimate | None:
-        """The newest estimate, with no more claimed than may be."""
-        return self._finding.estimate
+    def is_observed(self) -> bool:
+        """Whether the tissue's past is known, so that an estimate can be right."""
+        return self.state is SiteState.OBSERVED
 
     @property
     def usable_estimate(self) -> Estimate | None:
         """The newest estimate, where the history has been seen."""
-        return self.estimate if self.is_usable else None
+        return self.estimate if self.is_observed else None
 
     @property
     def live_estimate(self) -> Estimate | None:
@@ -236,11 +189,6 @@ class Site:
     def change_count(self) -> int:
         """How often the tissue was found to have changed under the probe."""
         return self._estimator.change_count if self._estimator is not None else 0
-
-    @property
-    def teaches_drift(self) -> bool:
-        """Whether other sites may use what is learned here of the force's drift."""
-        return self._config.learns_drift and self._lessons.are_used
 
     @property
     def _known(self) -> KnownTissue | None:
@@ -282,29 +230,28 @@ class Site:
         return is_doubted and dips(stamp_ns - self._last_ns)
 
     def check_history(self, onset: Onset) -> None:
-        """Become unusable if the tissue may have been pressed unseen before a touch."""
+        """Say nothing of tissue that may have been pressed unseen before a touch."""
         first = onset.samples[0]
         # A site that was pressed before needs no surface, only to be left alone in between.
         is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
         if not is_followed and not _begins_at_origin(first, self._config):
             self.withdraw()
 
-    def touch(self, onset: Onset, release_force: float, noise: float) -> None:
+    def touch(self, onset: Onset, release_force: float, noise: float, before: Site | None) -> None:
         """Let the tissue relax until a touch, and start the estimator.
 
         `noise` is that of displacement and surface: variance per sample times the time between
-        samples [m^2 s].
+        samples [m^2 s]; `before` the site of the touch before.
         """
         config, first = self._config, onset.samples[0]
         scale = config.geometry.stress_per_force
         is_first = first.stamp_ns == self.start_ns
         self._lift_off = LiftOff(release_force, scale, is_first=is_first)
-        if self.is_usable and self._estimator is None:
+        if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
             new = _new_estimator(config, noise_sd, origin_sd, noise, self.known_rig)
-            maybe, self._maybe = self._maybe, None
-            if maybe is not None and isinstance(new, PosteriorEstimator):
-                maybe.may_go_on_as(new, onset, self)
+            if before is not None and before.is_elsewhere(onset) is None:
+                before.may_go_on_as(new, onset, self)
             self._estimator = new
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
@@ -315,20 +262,15 @@ class Site:
                 onset.bias_sd * scale, onset.drift_sd * scale, np.array(seen)
             )
 
-    def may_go_on_as(self, new: PosteriorEstimator, onset: Onset, other: Site) -> None:
-        """Let an estimator of tissue at rest know this tissue, which may be what is touched.
+    def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
+        """Let the estimator of another site, of tissue at rest, know this tissue: it may be it.
 
-        Parameters
-        ----------
-        new : PosteriorEstimator
-        onset : Onset
-        other : Site
-            From whose origin compressions count from now on.
+        It gets a copy: a later touch here goes on from what was known here.
         """
-        own = self._estimator
-        if not (self.is_usable and isinstance(own, PosteriorEstimator)):
+        own = copy.deepcopy(self._estimator) if self.is_observed else None
+        if not (isinstance(own, PosteriorEstimator) and isinstance(new, PosteriorEstimator)):
             return
-        self._rest_until(onset.samples[0].stamp_ns)
+        own.rest(self._pause_until(onset.samples[0].stamp_ns))
         shift = (other.origin - self.origin) / self._config.geometry.length
         found = _found_sd(onset, self._config)
         wider = math.log(other.origin_sd / found) if other.origin_sd and found else 0.0
@@ -336,13 +278,18 @@ class Site:
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""
-        step = self._seconds_to(stamp_ns)
-        if step < 4.0 * SHORTEST_STEP:
+        pause = self._pause_until(stamp_ns)
+        if not pause:
             return
-        self._memory.rest(step - SHORTEST_STEP)
-        if self._estimator is not None and self.is_usable:
-            self._estimator.rest(step - SHORTEST_STEP)
+        self._memory.rest(pause)
+        if self._estimator is not None and self.is_observed:
+            self._estimator.rest(pause)
         self._last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
+
+    def _pause_until(self, stamp_ns: int) -> float:
+        """Return the time without stress since the last sample in contact [s]."""
+        step = self._seconds_to(stamp_ns)
+        return step - SHORTEST_STEP if step >= 4.0 * SHORTEST_STEP else 0.0
 
     def _seconds_to(self, stamp_ns: int) -> float:
         """Return the time since the last sample in contact [s]."""
@@ -363,9 +310,9 @@ class Site:
         is_free = self._lift_off.is_free(step, force, compression, self._known)
         if not is_free:
             self._whereabouts.left = pair.position
-            if self.is_usable and self._whereabouts.is_dragged(pair):
+            if self.is_observed and self._whereabouts.is_dragged(pair):
                 self.withdraw()
-        if learns and self.is_usable and self._estimator is not None:
+        if learns and self.is_observed and self._estimator is not None:
             self._estimator.take(step, compression, stress, is_free=is_free)
         if step > 0.0:
             self._memory.press(step, 0.0 if is_free else stress)
@@ -385,7 +332,7 @@ class Site:
         assert self._lift_off is not None
         memory, innovation = self._memory.means(means.size), None
         fractional_stress = _fractional_stress(memory, self._config, self.estimate)
-        if learns and self.is_usable and self._estimator is not None:
+        if learns and self.is_observed and self._estimator is not None:
             if _is_informative(means, self._lift_off, self._config, self.origin_sd):
                 block = _block(means, memory, self.start_ns, is_past=is_silent)
                 innovation = self._estimator.update(block)
@@ -394,7 +341,7 @@ class Site:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
                 # A contact that is told as it ends has silent blocks alone.
-                self._finding.update(_checked(self._estimator.estimate()))
+                self._find(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
     # What stands against the estimate
@@ -402,48 +349,64 @@ class Site:
     def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
         """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
         self.flags |= flag
-        self._finding.doubt(self.flags, variance_factor)
+        self._variance_factor = max(self._variance_factor, variance_factor)
+        self._find(self._own)
 
-    def withdraw(self) -> None:
-        """Become unusable: the tissue under the probe has a past that was not seen."""
-        self.is_usable = False
-        self.flags |= Flag.ORIGIN_UNCERTAIN
+    def withdraw(self, flag: Flag = Flag.ORIGIN_UNCERTAIN) -> None:
+        """Say nothing any more: the tissue under the probe has a past that was not seen."""
+        self._go(SiteState.UNOBSERVED, flag)
 
     def fail(self) -> None:
-        """Become unusable after an exception."""
-        self.is_usable = False
-        self.flags |= Flag.ESTIMATION_FAILED
+        """Say nothing any more, after an exception."""
+        self._go(SiteState.FAILED, Flag.ESTIMATION_FAILED)
         self._estimator = None
-        self._finding.update(None)
+        self._find(None)
+
+    def _go(self, state: SiteState, flag: Flag) -> None:
+        self.state = max(self.state, state)
+        self.flags |= flag
+
+    def _find(self, own: Estimate | None) -> None:
+        """Take the newest estimate of the data alone, less what stands against it."""
+        self._own = self.estimate = own
+        if own is not None:
+            is_withheld = bool(self.flags & WITHHELD)
+            found = Reservations(variance_factor=self._variance_factor, is_withheld=is_withheld)
+            self.estimate = reserved(self._config.estimator, own, found)
 
     # The end of a contact
 
+    @property
+    def _ending(self) -> Estimator | None:
+        """The estimator that has something to bring to its best."""
+        return self._estimator if self.usable_estimate is not None else None
+
     def begin_leaving(self) -> None:
         """Begin to bring the estimate to its best at the end of a contact."""
-        if self._estimator is not None and self.is_usable and self.estimate is not None:
-            self._is_leaving = True
-            self._estimator.begin_finish()
+        if self._ending is not None:
+            self._ending.begin_finish()
 
     @property
     def is_working(self) -> bool:
         """Whether that is not done yet."""
-        return self._is_leaving and self._estimator is not None and self._estimator.is_working
+        return self._ending is not None and self._ending.is_working
 
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time in the air [s]."""
-        if self._is_leaving and self._estimator is not None:
-            self._estimator.work(seconds)
+        if self._ending is not None:
+            self._ending.work(seconds)
 
     def leave(self) -> None:
-        """Bring the estimate to its best at the end of a contact."""
-        if not self._is_leaving:
-            self.begin_leaving()
-        is_leaving, self._is_leaving, estimator = self._is_leaving, False, self._estimator
-        if not is_leaving or estimator is None:
+        """Bring the estimate to its best at the end of a contact, as was begun."""
+        estimator, known = self._ending, self.known_rig
+        if estimator is None:
             return
         estimator.finish()
-        self._finding.update(_checked(estimator.estimate()))
-        self.doubt(Flag.NONE, self._lessons.motion_factor(estimator))
+        self._find(_checked(estimator.estimate()))
+        teaches = self._config.learns_motion and self.teaches
+        is_asked = teaches or known.motion_share < 1.0
+        motion = self._motion = estimator.motion_evidence() if is_asked else None
+        self.doubt(Flag.NONE, known.motion_factor(motion) if motion is not None else 1.0)
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
@@ -458,13 +421,15 @@ class Site:
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
         estimator = self._estimator
-        if estimator is None or not self.is_usable or estimator.is_doubtful:
+        if estimator is None or not (self.is_observed and self.teaches) or estimator.is_doubtful:
             return None
-        return self._lessons.rig(estimator)
-
-    def teach_nothing(self) -> None:
-        """Let no other site use what is learned here."""
-        self._lessons.are_used = False
+        known = estimator.rig() if self._config.learns_rig else None
+        if not self._config.learns_motion:
+            return known
+        self._told_motion = self._motion or self._told_motion
+        if self._told_motion is None:
+            return known
+        return (known or self.known_rig).moved(self._told_motion)
 
 
 def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate | None) -> float:

@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The force in the air behind a contact, which may contradict that in the air before."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+
+#: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
+#: it touched [ns]: by then what stuck has let go, and a sensor that creeps has hardly recovered.
+_SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
+#: At least this number of samples is averaged.
+_LEAST_SAMPLES = 12
+
+
+class AirChange(NamedTuple):
+    """The air's force after a contact less that before it, its drift there taken on."""
+
+    change: float  #: [N]
+    noise_variance: float  #: of that, by what is not known of the air [N^2]
+    drift_variance: float  #: of the drift that is stated for the contact [N^2]
+
+    @property
+    def deviations(self) -> float:
+        """The change over its stated standard deviation [1]; below 0: the force has fallen."""
+        return self.change / math.sqrt(self.noise_variance + self.drift_variance)
+
+
+class AirAfter:
+    """Averages the force in the air behind the surface of a contact.
+
+    Parameters
+    ----------
+    onset : Onset
+    drift_sd : float
+        Of the force over one second in contact [N], as stated.
+    """
+
+    def __init__(self, onset: Onset, drift_sd: float) -> None:
+        self._onset = onset
+        self._drift_sd = drift_sd
+        self._behind_ns: int | None = None
+        self._size, self._sum = 0, 0.0
+        self.is_complete = False
+
+    @property
+    def end_ns(self) -> int:
+        """When the averaging ends [ns]; 0: it has not begun."""
+        return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
+
+    def average(self, pair: Pair) -> None:
+        """Take a pair after the release."""
+        if self.is_complete:
+            return
+        if pair.displacement >= self._onset.displacement:
+            self._behind_ns, self._size, self._sum = None, 0, 0.0
+            return
+        if self._behind_ns is None:
+            self._behind_ns = pair.stamp_ns
+        elapsed_ns = pair.stamp_ns - self._behind_ns
+        self.is_complete = elapsed_ns > _WINDOW_NS
+        if _SETTLING_NS <= elapsed_ns <= _WINDOW_NS:
+            self._size += 1
+            self._sum += pair.force
+
+    def change(self) -> AirChange | None:
+        """Return how the air has changed; None where too few samples say nothing."""
+        onset = self._onset
+        if not self.is_complete or self._size < _LEAST_SAMPLES:
+            return None
+        elapsed = (self.end_ns - onset.samples[0].stamp_ns) / NANOSECONDS
+        return AirChange(
+            self._sum / self._size - onset.bias - onset.drift * elapsed,
+            onset.bias_sd**2 + (onset.drift_sd * elapsed) ** 2 + onset.noise_sd**2 / self._size,
+            self._drift_sd**2 * elapsed,
+        )
