@@ -103,13 +103,10 @@ def keep_shares(
         one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
 
 
-def kept(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the hypotheses that are not ruled out, one at least."""
-    best = max(hypotheses, key=lambda one: one.log_weight)
-    found = [
-        one
-        for one in hypotheses
-        if one is best
-        or (one.misses < _MOST_MISSES and one.log_weight > best.log_weight - NEGLIGIBLE)
+def kept(solved: Sequence[Hypothesis], missed: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses that are not ruled out: by their evidence, or lost again and again."""
+    most = max(one.log_weight for one in solved)
+    return [
+        *(one for one in solved if one.log_weight > most - NEGLIGIBLE),
+        *(one for one in missed if one.misses < _MOST_MISSES),
     ]
-    return found

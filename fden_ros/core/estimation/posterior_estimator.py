@@ -275,7 +275,7 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._time += step
         self._steps += step > 0.0
-        self._stepped += step
+        self._stepped += max(step, 0.0)
         # By the mean step: the last alone may be short.
         sd = math.sqrt(self._path_variance * self._steps / self._stepped) if self._steps else 0.0
         self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)

@@ -293,9 +293,9 @@ class PressPosterior:
             return
         self._schedule.ended(begun.elapsed, begun.compression, shows_delay=begun.shows_delay)
         solved, missed = taken_over(begun.hypotheses, found)
+        self.hypotheses = kept(solved, missed)
         self._catch_up(solved, begun.end, begun.since)
         keep_shares(self.weighed, missed, solved)
-        self.hypotheses = kept(self.hypotheses)
         self.weigh()
 
     def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:
