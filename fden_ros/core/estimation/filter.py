@@ -71,7 +71,9 @@ class PressFilter:
         p00, p01, p11 = solution.walk.covariance
         self.x = np.empty(n + 2)
         self.x[:n] = solution.mean
-        self._begun = np.abs(solution.mean - self._about)[: LARGEST_STEP.size]
+        law = slice(0, LARGEST_STEP.size)
+        self._begun = np.abs(solution.mean - self._about)[law]
+        self._solved = solution.mean[law].copy(), solution.covariance.diagonal()[law].copy()
         self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
         self.P = np.empty((n + 2, n + 2))
         self.P[:n, :n] = solution.covariance
@@ -96,6 +98,15 @@ class PressFilter:
         law = slice(0, LARGEST_STEP.size)
         off = np.abs(self.x[law] - self._about[law])
         return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether it is a standard deviation from where it was solved.
+
+        It went on by four of them in a hold of a minute.
+        """
+        mean, variances = self._solved
+        return bool(np.any(np.square(self.x[: mean.size] - mean) > variances))
 
     @property
     def is_beyond_numbers(self) -> bool:

@@ -217,18 +217,6 @@ class Hypothesis:
         return bool(likeliest < before.max() + math.log(LEAST_WEIGHT))
 
     @property
-    def has_moved(self) -> bool:
-        """Whether its filter is a standard deviation from the solution about which it is linear.
-
-        It went on by four of them in a hold of a minute.
-        """
-        if self.solved is None or self.filter is None:
-            return False
-        law, best = slice(0, len(LAW)), self.solved.best
-        moved = np.square(self.filter.mean - best.mean)[law]
-        return bool(np.any(moved > best.covariance.diagonal()[law]))
-
-    @property
     def delays(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """A long delay and its deviation [s] when it was solved, and now; None: it has none."""
         if self.solved is None or self.filter is None or not self.setting.is_late:

@@ -46,7 +46,7 @@ class Schedule:
         return self.can_begin and (
             elapsed > _TIME_RATIO * self._elapsed
             or compression > _DEPTH_RATIO * self._compression > 0.0
-            or best.has_moved
+            or (best.filter is not None and best.filter.has_moved)
             or best.has_turned
             or self._has_told_delay(best)
         )

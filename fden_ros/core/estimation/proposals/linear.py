@@ -58,12 +58,13 @@ def propose(
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
     place = (boundary - mean) / width
-    there = posterior.evidence(points, replace(best.maximum, scales=scales))
-    here = posterior.evidence_beside(points, linear, best)
-    gain = here - there + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
-    gain += math.log(width) + float(log_ndtr(place))
+    # Over all scales: those that are best for the bend need not be so without.
+    same_errors = replace(linear.maximum, errors=best.maximum.errors)
+    linear = yield from posterior.averaged(points, same_errors, posterior.grid, LOG_GN)
+    evidence = linear.log_evidence + 0.5 * ((state[LOG_GN] - mean) / width) ** 2
+    evidence += math.log(width) + float(log_ndtr(place))
     return Proposed(
-        ((found.log_evidence[0] + gain, _cut_off(linear, mean, width, place)),),
+        ((evidence, _cut_off(linear, mean, width, place)),),
         tuple(_log_share_beyond(one, boundary) for one in found.maxima),
         best,
     )
