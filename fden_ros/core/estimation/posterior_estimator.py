@@ -24,17 +24,16 @@ from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
-from fden_ros.core.estimation.learned_scales import MOTION_SCALES
-from fden_ros.core.estimation.mixture import Component, moments
+from fden_ros.core.estimation.mixture import moments
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
-from fden_ros.core.estimation.press_setting import Carried, PressSetting, rig_places
+from fden_ros.core.estimation.press_setting import Carried, PressSetting
 from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
 from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.unknowns import Lifetime
 from fden_ros.core.law.geometry import Geometry
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
@@ -49,8 +48,6 @@ _TOUCH_TIME = 0.1
 _IN_AIR = 3.0
 #: Pasts of earlier touches that a touch may go on from [1].
 _MOST_PASTS = 2
-#: Part of the variance of what is stated of a rig that a press tells at least [1].
-_LEAST_TOLD = 0.01
 
 
 class PosteriorEstimator(Estimator):
@@ -189,56 +186,15 @@ class PosteriorEstimator(Estimator):
     @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
-        if self._solved is None:
-            return 0.0
-        belief, best, off = self._solved.posterior.belief, self._solved.best, 0.0
-        before = belief.variances()
-        for k, unknown in enumerate(self._solved.model.unknowns):
-            if unknown.lifetime is Lifetime.RIG:
-                told = max(before[k] - best.covariance[k, k], _LEAST_TOLD * before[k])
-                off = max(off, abs(best.mean[k] - belief.mean[k]) / math.sqrt(told))
-        return off
+        return misfit(self._solved) if self._solved is not None else 0.0
 
     def motion_evidence(self) -> list[float] | None:
-        """Return the log evidence of the press for scales of the surface's stated motion.
-
-        The law counts as exact, so that all it leaves out counts as motion.
-        """
-        press = self.press
-        if press is None or not press.weighed or any(one.misses for one in press.likely):
-            return None
-        found = []
-        for weight, one in press.weighed:
-            stated, solved = one.setting.stated.surface_motion_sd, one.solved
-            if not stated or solved is None:
-                return None
-            now = one.setting.config.uncertainty.surface_motion_sd
-            exact = min(weighed.scales for weighed in solved.posterior.grid)
-            grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
-            points, maximum = one.points(press.record.points()), solved.best.maximum
-            own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
-            found.append(math.log(weight) + np.array(own) - max(own))
-        result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()
-        return result
+        """Return the log evidence of the press for scales of the surface's stated motion."""
+        return motion_evidence(self.press) if self.press is not None else None
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after the press; None where it tells nothing."""
-        press = self.press
-        if press is None or not press.weighed:
-            return None
-        setting = press.setting
-        found = []
-        for weight, one in press.weighed:
-            assert one.solved is not None
-            own, places = rig_places(one.solved.model)
-            if not own:
-                return None
-            mean, covariance = setting.rig.scaled(setting.stated)
-            best = one.solved.best
-            mean[own] = best.mean[places]
-            covariance[np.ix_(own, own)] = best.covariance[np.ix_(places, places)]
-            found.append(Component(weight, mean, covariance))
-        return setting.rig.taught(*moments(found), setting.config)
+        return rig_after(self.press) if self.press is not None else None
 
     @property
     def _solved(self) -> Solved | None:
