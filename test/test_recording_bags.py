@@ -89,14 +89,6 @@ def data_of(path: Path) -> list[bytes]:
     return [message.data for message in BagReader(path).messages()]
 
 
-def refusal(path: Path) -> str:
-    """Return the one line that a path is refused with."""
-    with pytest.raises(InputError) as caught:
-        BagReader(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 # Serialisation
 
 
@@ -233,7 +225,7 @@ def test_file_cut_off_anywhere_gives_its_complete_messages(tmp_path, compression
     content = whole.read_bytes()
     cut = tmp_path / "cut.mcap"
     counts = []
-    for size in range(60, len(content) + 1, 97):
+    for size in (*range(1, 60), *range(60, len(content) + 1, 97)):
         cut.write_bytes(content[:size])
         try:
             bag = BagReader(cut)
@@ -266,24 +258,6 @@ def test_damaged_chunk_is_lost_alone_and_said(tmp_path):
     assert 100 < len(read) < 200
     assert set(read) < set(payloads)
     assert "is lost (checksum differs)" in bag.warnings[0]
-
-
-# What cannot be read says what would be right
-
-
-def test_unusable_paths_are_refused_in_one_line(tmp_path):
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "empty.mcap").touch()
-    (tmp_path / "text.mcap").write_text("time,force\n")
-    write_mcap(tmp_path / "whole.mcap", range(3))
-    start = (tmp_path / "whole.mcap").read_bytes()[:20]
-    assert "does not exist" in refusal(tmp_path / "nowhere")
-    assert "holds no bag" in refusal(tmp_path / "folder")
-    assert "is empty" in refusal(tmp_path / "empty.mcap")
-    assert "is no bag" in refusal(tmp_path / "text.mcap")
-    for size in range(1, 21):
-        (tmp_path / "cut.mcap").write_bytes(start[:size])
-        assert f"cut off before its first topic, at {size} b" in refusal(tmp_path / "cut.mcap")
 
 
 def stream(topic: str, message: str, count: int = 20, **options: Any) -> Stream:

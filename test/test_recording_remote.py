@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_recording_kinds import KINDS, small
+from recording_kinds import bag_of, small
 
 from fden_ros.cli import main
 from fden_ros.offline.batch import Results, Work, find_bags, identify
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("shown")
     shutil.copytree(POSE, folder / "press")
     (folder / "old").mkdir()
-    KINDS["sqlite3"](folder / "old", small())
+    bag_of("sqlite3", folder / "old", small())
     shutil.move(next((folder / "old").rglob("*.db3")), folder / "old" / "old.db3")
     shutil.rmtree(folder / "old" / "bag")
     table = (ROOT / "examples" / "press.csv").read_bytes()
