@@ -169,9 +169,7 @@ STATED = {
     + comma("".join(f"{t};9;{f};9;{1e3 * d}\n" for t, f, d in ROWS)),
 }  # fmt: skip
 
-MICRO = "Zeit (s);Kraft (N);Weg (µm)\n" + comma(
-    lines("{:.3f};{:.4f};{:.4f}", displacement=1e6)
-)
+MICRO = "Zeit (s);Kraft (N);Weg (µm)\n" + comma(lines("{:.3f};{:.4f};{:.4f}", displacement=1e6))
 ENCODINGS = ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1", "cp1252")
 REPEATED = PREAMBLE + "Load (N),Load (N),t\n" + lines("9,{1:.4f},{0:.3f},{2:.4f}")
 STRESSES = comma(lines("{};{};{}", force=1e-3, displacement=1e2))

@@ -23,6 +23,7 @@ from fden_ros.recording.source import Selection, open_source
 POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
 PRESS = Path(__file__).resolve().parents[1] / "examples" / "press.csv"
 
+
 @pytest.mark.parametrize(
     ("headings", "said"),
     [
