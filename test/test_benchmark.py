@@ -75,23 +75,6 @@ def test_without_a_checkout_one_line_says_that_it_needs_one(tmp_path):
     assert "needs a checkout" in done.stderr and done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("robots", "--cases", "frictio"), "there is no case 'frictio'"),
-        (("laws", "--cases", ","), "no case is named"),
-        (("exact", "--first", "-1"), "not negative"),
-        (("robots", "--parameters", "nowhere.yaml"), "cannot read the parameter file"),
-        (("robots", "--ratio", "-1"), "must be positive"),
-        (("real", "nowhere"), "no such folder"),
-    ],
-)
-def test_bad_arguments_end_in_one_line(arguments, words, tmp_path, capsys):
-    assert main(["benchmark", *arguments, "-o", str(tmp_path)]) == 1
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
 # Goals and tables
 
 

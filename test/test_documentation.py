@@ -10,7 +10,6 @@ import enum
 import functools
 import io
 import json
-import os
 import re
 import shlex
 import subprocess
@@ -133,20 +132,25 @@ def assert_alike(printed: str, shown: str) -> None:
 
 
 @pytest.mark.parametrize(("page", "count"), [("README.md", 1), ("docs/configure.md", 4)])
-def test_the_commands_of_a_page_print_what_is_shown_one_after_the_other(page, count, tmp_path):
+def test_the_commands_of_a_page_print_what_is_shown_one_after_the_other(
+    page, count, tmp_path, monkeypatch, capsys
+):
     assert len(shown_commands(page)) == count
-    for name in ("examples", "bags"):
+    for name in ("examples", "bags", "scripts"):
         (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     for command, shown in shown_commands(page):
-        done = subprocess.run(
-            ["bash", "-ec", command.replace("scripts/ros_env", str(ROOT / "scripts" / "ros_env"))],
-            cwd=tmp_path,
-            env={**os.environ, "COLUMNS": "80"},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert_alike(done.stdout, shown)
+        program, name, *words = shlex.split(command)
+        assert (program, name) == ("scripts/ros_env", "fden")
+        if page == "README.md":
+            # As a newcomer starts it.
+            done = subprocess.run(["bash", "-ec", command], stdout=subprocess.PIPE, check=True)
+            printed = done.stdout.decode()
+        else:
+            assert main(words) == 0
+            printed = capsys.readouterr().out
+        assert_alike(printed, shown)
 
 
 def test_the_readme_has_at_most_120_lines_and_the_probe_of_the_example():

@@ -270,26 +270,6 @@ def test_the_command_goes_on_from_results(probe, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["deviations"]["g_n"] < 0.1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--config", "examples/probe.yaml"], "state --noise"),
-        (["--noise", "0.01", "--rate", "100"], "state probe and tissue"),
-        (["--config", "examples/probe.yaml", "--after", "nothing.json"], "cannot be read"),
-    ],
-)
-def test_what_is_missing_is_said_in_a_line(arguments, words, capsys):
-    assert main(["plan", *arguments]) == 1
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
-def test_a_target_that_is_none_is_wrong_usage(capsys):
-    with pytest.raises(SystemExit) as exit_:
-        main(["plan", "--target", "stiffness=0.1"])
-    assert exit_.value.code == 2
-
-
 # The node planner: its answers over DDS are those of Python, from what the identifier says
 
 

@@ -240,21 +240,6 @@ def test_without_the_extra_one_line_says_what_to_install(name):
     assert done.returncode == 1 and name in line and "pip install '.[cluster]'" in line
 
 
-@pytest.mark.parametrize(
-    ("url", "words"),
-    [
-        ("http://127.0.0.1:1/press.mcap", "cannot be reached"),
-        ("http://127.0.0.1:1/press.csv", "cannot be reached"),
-        ("sftp://someone@127.0.0.1:1/press", "cannot be reached"),
-        ("gopher://lab/press.mcap", "is no URL that can be read"),
-    ],
-)
-def test_a_url_that_cannot_be_read_is_one_line(url, words, capsys):
-    assert main(["replay", url]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert url in line and words in line
-
-
 def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path):
     (row,) = identify("http://127.0.0.1:1/press.mcap", work := Work(check({}), Selection()))
     results = Results(tmp_path / "results.csv", work.digest())

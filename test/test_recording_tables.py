@@ -158,27 +158,6 @@ def test_the_air_of_a_recording_without_air_does_not_drift(
     assert not [line for line in found["warnings"] if "drifts in the air" in line]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--from-touch",), "is no table: --from-touch is for tables"),
-        (("--rows", "a=b"), "is no table: --rows is for tables"),
-        (("--diameter", "50furlong"), "is no size"),
-        (("--area", "-1"), "is no size"),
-        (("--diameter", "5mm", "--area", "1mm2"), "not allowed with"),
-    ],
-)
-def test_options_of_tables_that_do_not_fit_are_refused_in_a_line(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
-) -> None:
-    try:
-        code = main(["replay", str(POSE), *arguments])
-    except SystemExit as error:
-        code = int(str(error.code))
-    line = capsys.readouterr().err
-    assert code in (1, 2) and line.count("\n") == 1 and words in line
-
-
 # An arm's recorder: places and forces are vectors, in the base or in the tool
 
 
