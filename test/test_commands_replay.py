@@ -32,7 +32,7 @@ from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.definitions import message_class
-from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Column, Columns, TableReader
 from fden_ros.recording.writer import BagWriter
@@ -233,51 +233,6 @@ def test_several_sensible_topics_are_listed_in_one_line(
 # Tables
 
 
-def write_table(path: Path, bag: Path, heading: str, delimiter: str) -> Path:
-    """Write force and displacement of a bag, interpolated to the force's stamps, in mm."""
-    reader = BagReader(bag)
-    force, displacement = [], []
-    for message in reader.messages(["/tool/wrench", "/arm/measured_cp"]):
-        sample = decode(message)
-        stamp = sample.header.stamp.sec + sample.header.stamp.nanosec * 1e-9 - 1.7e9
-        if message.topic == "/tool/wrench":
-            force.append((stamp, -sample.wrench.force.z))
-        else:
-            displacement.append((stamp, -sample.pose.position.z))
-    time, values = np.array(force).T
-    depth = np.interp(time, *np.array(displacement).T)
-    rows = [heading] if heading else []
-    rows += [
-        delimiter.join((f"{t:.7f}", "x", f"{f:.9f}", f"{1e3 * d:.9f}"))
-        for t, f, d in zip(time, values, depth, strict=True)
-    ]
-    path.write_text("# measured\n" + "\n".join(rows) + "\n")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("heading", "delimiter", "columns"),
-    [
-        ("time_s,who,force_N,depth_mm", ",", "time_s,force_N,depth_mm*1e-3"),
-        ("", "\t", "1,3,4*1e-3"),
-    ],
-)
-def test_a_table_gives_what_the_bag_gives(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    heading: str,
-    delimiter: str,
-    columns: str,
-) -> None:
-    table = write_table(tmp_path / "press.csv", POSE, heading, delimiter)
-    options = ("--config", POSE / "identifier.yaml")
-    # Without positions a new site is told by the time in the air.
-    of_table = replayed(capsys, table, *options, "--columns", columns)["contacts"][0]
-    of_bag = replayed(capsys, POSE, *options)["contacts"][0]
-    for key in ("g", "g_n"):
-        assert of_table[key] == pytest.approx(of_bag[key], rel=2e-3)
-
-
 def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "tests.csv"
     path.write_text("test;t;f;d\na;0.0;1;2\nb;0.1;9;9\na;0.1;;2\na;0.2;3;4\n")
@@ -377,7 +332,6 @@ def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None
 # The projector of measurements: fields of any message, tables and topics come out alike
 
 
-POSE_BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_pose"
 FORCE, POSES = "/tool/wrench", "/arm/measured_cp"
 FIELDS = Selection(
     {"force": FORCE, "displacement": POSES},
@@ -387,12 +341,12 @@ FIELDS = Selection(
 
 def own_parameters(**changes: Any) -> Parameters:
     values = {name.replace("__", "."): value for name, value in changes.items()}
-    return read_parameter_file(POSE_BAG / PARAMETER_FILE).changed(values)
+    return read_parameter_file(POSE / PARAMETER_FILE).changed(values)
 
 
 def copied(folder: Path, change: Any) -> Path:
     """The bag with every message changed by `change`, which has its topic and number."""
-    reader = BagReader(POSE_BAG)
+    reader = BagReader(POSE)
     kinds = {t.name: message_class(t.type_name) for t in reader.topics}
     with BagWriter(folder) as writer:
         for topic in reader.topics:

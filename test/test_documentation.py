@@ -227,34 +227,35 @@ def rows_between(path: Path, begin: float, end: float) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def first_press(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return rows_between(tmp_path_factory.mktemp("first") / "press.csv", -1.0, 6.25)
+
+
 def test_a_bag_that_leaves_nothing_open_is_ten_times_sharper_as_is_said():
     for arm, exact in zip(identified({}).estimates, identified(EXACT).estimates, strict=True):
         assert np.all(arm.deviations[:2] > 10 * exact.deviations[:2])
 
 
-def test_a_wrong_sign_shows_as_is_said():
-    heard = identified({}, "time_s,force_N*-1,depth_mm*1e-3")
-    assert not heard.summaries
-    words = "the force fell below its value in the air"
-    assert any(words in text for text in heard.result.warnings)
-
-
-def test_depth_in_mm_shows_as_is_said():
-    heard = identified({}, "time_s,force_N,depth_mm*1")
+def test_depth_in_mm_shows_as_is_said(first_press):
+    heard = identified({}, "time_s,force_N,depth_mm*1", first_press)
     assert not any(heard.converged)
     assert all(summary.flags & Flag.IMPLAUSIBLE for summary in heard.summaries)
     warning = heard.result.warnings[0]
     assert "a strain of 295" in warning and "factor 0.001" in warning
 
 
-def test_a_geometry_that_is_not_stated_shows_as_is_said():
+def test_a_geometry_that_is_not_stated_shows_as_is_said(first_press):
     heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
     assert not any(heard.converged)
     assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
     assert heard.stiffness[:, 0] == pytest.approx([1352.0, 1826.0], rel=0.01)
     # Where nothing is left open, the prior counts nothing beside the data.
-    wrong = identified({"geometry.area": 1e-4, **EXACT}).stiffness[:, 0]
-    assert wrong / identified(EXACT).stiffness[:, 0] == pytest.approx(3.14, rel=0.01)
+    wrong, right = (
+        identified({**own, **EXACT}, path=first_press).stiffness[:, 0]
+        for own in ({"geometry.area": 1e-4}, {})
+    )
+    assert wrong / right == pytest.approx(3.14, rel=0.01)
 
 
 def test_a_shallow_press_shows_as_is_said(tmp_path):
@@ -275,7 +276,7 @@ def test_a_shallow_press_shows_as_is_said(tmp_path):
 NARROW = {"prior.nonlinear_stiffness": 30.0, "prior.nonlinear_stiffness_log_sd": 0.2}
 
 
-def test_a_prior_that_excludes_the_tissue_shows_as_is_said():
+def test_a_prior_that_excludes_the_tissue_shows_as_is_said(first_press):
     heard = identified(NARROW)
     for summary, estimate in zip(heard.summaries, heard.estimates, strict=True):
         assert not summary.converged and summary.flags & Flag.ESTIMATE_AT_EDGE
@@ -285,27 +286,28 @@ def test_a_prior_that_excludes_the_tissue_shows_as_is_said():
     states = [output for output in heard.outputs if isinstance(output, TissueState)]
     # Two states of the first ramp, before the data contradict the prior.
     assert states and sum(state.status is Status.CONVERGED for state in states) <= 2
-    wide = identified({**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT})
-    assert all(wide.converged)
-    assert wide.stiffness[:, 1] == pytest.approx([9.0, 8.0], rel=0.025)
+    wide = {**NARROW, "prior.nonlinear_stiffness_log_sd": 1.0, **EXACT}
+    heard = identified(wide, path=first_press)
+    assert all(heard.converged)
+    assert heard.stiffness[:, 1] == pytest.approx([9.0], rel=0.025)
 
 
 @pytest.mark.parametrize("delay", [-0.01, 0.01])
-def test_a_delay_of_10_ms_shows_as_is_said(delay):
+def test_a_delay_of_10_ms_shows_as_is_said(delay, first_press):
     heard = identified({"displacement.delay": delay})
     assert not heard.converged[0]
     assert heard.summaries[0].flags == Flag.HYSTERESIS
     # What the first has told of the rig is the second's prior.
     assert heard.summaries[1].flags == Flag.NONE
     assert np.all(heard.errors < 1.7)
-    exact = identified({**EXACT, "displacement.delay": delay})
+    exact = identified({**EXACT, "displacement.delay": delay}, path=first_press)
     for summary, estimate in zip(exact.summaries, exact.estimates, strict=True):
         assert not summary.converged
         assert summary.flags & (Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED)
         assert estimate.deviations[0] > 0.33
 
 
-@pytest.mark.parametrize("delay", [-0.02, -0.01, 0.01, *first(0.02, -0.0025)])
+@pytest.mark.parametrize("delay", [-0.01, 0.01, *first(0.02, -0.02, -0.0025)])
 def test_a_delay_gives_no_wrong_number_under_a_good_status(delay):
     heard = identified({"displacement.delay": delay})
     claims = [
@@ -339,11 +341,6 @@ def test_the_page_on_robots_has_the_default_of_every_parameter_of_what_is_not_kn
         scale, _, unit = value.partition(" ")
         factor = {"mm": 1e-3, "mN": 1e-3, "mm/N": 1e-3, "ms": 1e-3, "%": 1e-2}[unit]
         assert float(scale) * factor == pytest.approx(Parameters().as_dict()[name]), name
-
-
-@pytest.fixture(scope="module")
-def first_press(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return rows_between(tmp_path_factory.mktemp("first") / "press.csv", -1.0, 6.25)
 
 
 @pytest.mark.parametrize("row", costs(), ids=lambda row: row[0])
@@ -460,7 +457,7 @@ def test_every_fden_command_of_a_page_is_understood(page):
 @pytest.mark.parametrize("page", ["docs/configure.md", "docs/recordings.md"])
 def test_the_commands_of_a_page_run_beside_the_files_that_they_name(page, tmp_path, monkeypatch):
     bag = tmp_path / "presses"
-    write_recording(simulate(ramp_scenario(hold_s=1.0, rate_hz=200.0, sites=2)), bag)
+    write_recording(simulate(ramp_scenario(strain_rate=0.3, hold_s=0.3, rate_hz=100.0)), bag)
     (mcap,) = bag.glob("*.mcap")
     files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag, "press.csv": PRESS}
     files |= {"archive": bag}

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
-from live_helpers import LIMIT
+from live_helpers import LIMIT, wait_for
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
@@ -34,7 +34,6 @@ from ros_helpers import (
     Live,
     active,
     identifier,
-    wait_for,
 )
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger

@@ -16,12 +16,20 @@ import numpy as np
 import pytest
 from fden_msgs.msg import PalpationSummary, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
-from live_helpers import LIMIT, PARAMETERS, ROOT, Ears, command_of, node_process, process_of
+from live_helpers import (
+    LIMIT,
+    PARAMETERS,
+    ROOT,
+    Ears,
+    command_of,
+    node_process,
+    process_of,
+    wait_for,
+)
 from output_helpers import ESTIMATE, summary
 from property_helpers import counts
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
-from ros_helpers import wait_for
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import csv
+import functools
 import gzip
+import itertools
 import json
 import math
 import shlex
@@ -34,7 +36,7 @@ from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.errors import InputError
 from fden_ros.nodes.player import Player
-from fden_ros.offline.replay import replay, result_object
+from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.reader import BagReader, decode
@@ -100,12 +102,17 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     assert (player.message_count, player.warnings) == (240, ())
 
 
+@functools.cache
+def of_mcap() -> Replay:
+    return replay(PRESS, read_parameter_file(PRESS / "identifier.yaml"))
+
+
 @pytest.mark.parametrize("kind", ["sqlite3", "ROS 1", "MCAP by file", "sqlite3 by message, alone"])
 def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(kind, tmp_path):
     parameters = read_parameter_file(PRESS / "identifier.yaml")
     messages = list(BagReader(PRESS).messages(["/force", "/displacement"]))
     other = replay(bag_of(kind, tmp_path, messages), parameters)
-    assert result_object(other) == result_object(replay(PRESS, parameters))
+    assert result_object(other) == result_object(of_mcap())
     assert other.has_identified
 
 
@@ -186,8 +193,7 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     received = replay(bag, check({}), Selection(stamps="recording"))
     by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
     assert result_object(by_parameter) == result_object(received)
-    whole = replay(bag_of("MCAP", tmp_path / "whole", small()), check({}))
-    assert received.samples == whole.samples > 100
+    assert received.samples > 100
     assert not any("stamps" in warning for warning in received.warnings)
     if stamps == "zero":
         with pytest.raises(InputError, match=r"are 0.*--stamps recording.*0 usable samples"):
@@ -210,7 +216,8 @@ def array_bag(folder: Path, source: Path) -> Path:
     depth = 0.0
     with BagWriter(folder) as bag:
         bag.add_topic("/data_control", "std_msgs/msg/Float64MultiArray")
-        for message in BagReader(source).messages(["/force", "/displacement"]):
+        messages = BagReader(source).messages(["/force", "/displacement"])
+        for message in itertools.islice(messages, 1200):
             sample = decode(message)
             if message.topic == "/displacement":
                 depth = sample.position[0]
@@ -241,7 +248,7 @@ def test_numbers_that_could_be_meant_are_listed_with_the_command_to_copy(
         "force": "/data_control data[2]",
         "displacement": "/data_control data[3]",
     }
-    assert result["samples"] > 1000
+    assert result["samples"] > 500
 
 
 # Archives
