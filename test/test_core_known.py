@@ -373,7 +373,7 @@ STRAIN, RAMP = 0.25, 1.0
 MODEL = FdenModel(2000.0, 8.0, 0.2)
 
 
-@pytest.mark.parametrize("seeds", counts(2, 8))
+@pytest.mark.parametrize("seeds", counts(1, 8))
 @pytest.mark.parametrize(
     ("name", "rig"),
     [
@@ -392,7 +392,7 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(name,
         if prediction.moment in IN_THE_HOLD
     ]
     predicted = [prediction.inside for prediction in made if not prediction.refusal]
-    assert len(made) >= 3
+    assert len(made) == 2 * seeds
     assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 

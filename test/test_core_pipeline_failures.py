@@ -240,7 +240,7 @@ def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
     assert outcome.pipeline._synchronizer.waiting < 50_000
 
 
-@examples(100)
+@examples(60)
 @example(
     [(0, 1, 0.0, False)] * 11
     + [(0, 9990, 0.0, False), (0, 10000, 5e-324, False), (0, 10000, 1.0, False)],
@@ -296,7 +296,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
     return [item._replace(value=new.get(kind, item.value))]
 
 
-@examples(8)
+@examples(4)
 @example([("add", 757, 45, 9.99, 101), ("value", 332, 1, 0.434, 1)], {})
 @example(
     [
