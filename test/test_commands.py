@@ -361,11 +361,10 @@ def test_the_report_draws_the_path(bag, tmp_path):
     )
 
 
-@pytest.mark.parametrize("first", [500, 700])
-def test_what_begins_in_contact_is_reported_as_contacts_not_as_a_path(first, tmp_path, capsys):
+def test_what_begins_in_contact_is_reported_as_contacts_not_as_a_path(tmp_path, capsys):
     press, page = tmp_path / "press.csv", tmp_path / "page.html"
     heading, *rows = (ROOT / "examples" / "press.csv").read_text(encoding="utf-8").splitlines()
-    press.write_text("\n".join([heading, *rows[first:]]))
+    press.write_text("\n".join([heading, *rows[700:]]))
     config = str(ROOT / "examples" / "probe.yaml")
     assert main(["report", str(press), "--config", config, "-o", str(page)]) == 0
     assert "<h2>Contacts</h2>" in page.read_text(encoding="utf-8")

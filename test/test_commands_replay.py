@@ -137,11 +137,7 @@ def test_damaged_messages_are_counted_and_the_others_used(
     result = replayed(capsys, tmp_path / "bag", "--config", PRESS / "identifier.yaml")
     damaged = {k: n for k, n in result["rejected"].items() if k.endswith(".damaged")}
     assert sum(damaged.values()) == 3
-    assert len(result["contacts"]) == len(read_contacts(capsys, PRESS))
-
-
-def read_contacts(capsys: pytest.CaptureFixture[str], bag: Path) -> list[Any]:
-    return list(replayed(capsys, bag, "--config", bag / "identifier.yaml")["contacts"])
+    assert len(result["contacts"]) == 2
 
 
 # Types that are not installed

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from output_helpers import ESTIMATE, summary
-from pipeline_helpers import identified, items_of, parameters_of, summaries_of
+from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
 
 from fden_ros.core.apparent_stiffness import apparent_stiffness_of
@@ -50,46 +50,9 @@ from simulation.scenario import (
     Scenario,
     Site,
     Tissue,
-    ramp_scenario,
 )
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
-
-#: Of the simulated probe.
-AREA, THICKNESS = math.pi * 0.01**2, 0.02
-
-
-def contact_of(
-    nonlinear_stiffness: float,
-    max_strain: float,
-    seed: int,
-    changes: dict[str, object] | None = None,
-) -> ContactSummary:
-    scenario = ramp_scenario(
-        strain_rate=0.2,
-        max_strain=max_strain,
-        hold_s=0.5,
-        tissue=Tissue(577.0, nonlinear_stiffness, 0.131),
-        rate_hz=250.0,
-        seed=seed,
-    )
-    recording = simulate(scenario)
-    _, outputs = identified(items_of(recording), parameters_of(recording) | (changes or {}))
-    (contact,) = summaries_of(outputs)
-    return contact
-
-
-# The apparent stiffness
-
-
-def test_the_apparent_stiffness_of_a_contact_is_that_of_the_truth_at_its_deepest_point():
-    contact = contact_of(8.5, 0.25, 3, {"estimate.time_scale": 0.5})
-    found = contact.apparent_stiffness
-    assert found is not None and found.time_scale == 0.5
-    tangent = 577.0 * math.exp(8.5 * 0.25 - 1.0) * 0.5**-0.131 / math.gamma(1.0 - 0.131)
-    true = tangent * AREA / THICKNESS
-    assert abs(found.value - true) < 4.0 * found.sd
-    assert found.sd < 0.02 * true
 
 
 # The table
@@ -141,16 +104,6 @@ def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(
     value, deviation, is_of_data, words
 ):
     assert result(value, deviation, is_of_data=is_of_data) == words
-
-
-def test_table_puts_what_the_prior_says_in_brackets():
-    open_ = ESTIMATE._replace(
-        covariance=np.diag([1.2, 0.04, 0.0001]), valid=ParameterSet.LINEAR_STIFFNESS
-    )
-    contact = summary(estimate=open_, apparent_stiffness=ApparentStiffness(40.0, 44.0, 0.1))
-    text = printed(contact)
-    assert "below 3" in text and "(8.0 ± 1.6)" in text and "± 5" not in text
-    assert "below 250" in printed(contact)
 
 
 # What a decision took, and how a site compares, in messages and back
@@ -325,13 +278,6 @@ def test_a_press_that_is_not_deep_enough_ends_with_the_press_that_is():
     following = next_press(contact, config)
     assert following is not None and words.endswith(following.line())
     assert following.motion.depth > 0.1 * 0.02  # beyond 1/Gn
-
-
-def test_a_gn_that_a_faint_press_hides_has_its_budget_and_what_would_help_beside_the_press():
-    contact, config = pressed(150.0, 0.002, 0.15)
-    words = shortfall(contact, config)
-    assert re.search(r"Gn is not observable: .*\(of the variance: drift \d+ %", words)
-    assert "drift of 5 mN in a second is assumed and the press had" in words
 
 
 def test_a_touch_that_was_not_seen_is_said_where_the_command_ends():
