@@ -54,7 +54,6 @@ from simulation.scenario import (
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
 
-
 # The table
 
 
