@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from live_helpers import wait_for
 
 from fden_ros import __version__
 from fden_ros.cli import main
@@ -57,6 +56,8 @@ def said_by(*command: str | Path) -> subprocess.Popen[str]:
 
 
 def until(is_so: Callable[[], bool]) -> None:
+    from live_helpers import wait_for  # here, because workers import this module without it
+
     wait_for(is_so, "the cluster", 60.0)
 
 
