@@ -264,6 +264,8 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force():
     assert hidden.deviations[0] > 2.0
     assert open_.value == seen.value
     assert open_.sd == pytest.approx(seen.sd)
+    moved = ESTIMATE._replace(strain_origin=0.1)
+    assert apparent_stiffness_of(moved, geometry, 0.4, 0.0, 0.1).value == pytest.approx(seen.value)
     # Below 1/Gn the slope is that of G.
     assert apparent_stiffness_of(ESTIMATE, geometry, 0.1, 0.0, 0.1) is not None
     assert apparent_stiffness_of(hidden, geometry, 0.1, 0.0, 0.1) is None
