@@ -44,6 +44,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.lift_off import LiftOff
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import contact_object
@@ -345,6 +346,13 @@ def test_a_touch_whose_linear_part_noise_hides_leaves_g_open_and_shows_gn(seed):
     assert ParameterSet.NONLINEAR_STIFFNESS in estimate.valid
     assert estimate.deviations[1] < 0.1
     assert np.all(np.abs(off) < 3.0), (seed, off)
+
+
+def test_tissue_leaves_no_probe_that_holds_still():
+    leaving = LiftOff(0.01, 1e4, is_first=False)
+    # A force, then none as noise has it, at the same place, and farther out.
+    course = [(0.1, 0.2), (0.0, 0.2), (0.0, 0.1999), (0.0, 0.1)]
+    assert [leaving.is_free(0.01, *sample, None) for sample in course] == [False] * 3 + [True]
 
 
 def test_a_sphere_on_a_noisy_sensor_shows_g_and_gn():
