@@ -142,13 +142,13 @@ def each(change: Change, *where: Any, **named: Any) -> Callable[[Shift], list[St
 
 
 def some(
-    change: Change, streams: tuple[int, ...] = BOTH, count: int = 5
+    change: Change, streams: tuple[int, ...] = BOTH, count: int = 6
 ) -> Callable[[Shift], list[Step]]:
-    """Change a few samples in the second contact, never two in a row."""
+    """Change a few samples in the second contact, of each stream in turn, never two in a row."""
 
     def samples(s: Shift) -> list[Step]:
         near = [k for k, i in enumerate(s.items) if within(s, i, BEGIN, END, streams)]
-        step = len(near) // (count + 1)
+        step = len(near) // (count + 1) | 1  # odd: the streams alternate
         chosen = set(near[step::step][:count])
         return [change(item) if k in chosen else item for k, item in enumerate(s.items)]
 
@@ -322,16 +322,12 @@ UNSET = (0.0, 0.0, 0.0, 0.0)
 
 ROWS = [
     # values
-    Row("force_nan", some(value(math.nan), (FORCE,))),
+    Row("nan", some(value(math.nan))),
     Row("force_nan_run", NAN_FORCE),
-    Row("displacement_nan", some(value(math.nan), (DISPLACEMENT,))),
     Row("displacement_nan_run", NAN_DISPLACEMENT),
-    Row("force_infinite", some(value(math.inf), (FORCE,))),
-    Row("displacement_infinite", some(value(-math.inf), (DISPLACEMENT,))),
-    Row("force_absurd", some(value(1e300), (FORCE,))),
-    Row("displacement_absurd", some(value(-1e300), (DISPLACEMENT,))),
-    Row("force_denormal", some(value(5e-324), (FORCE,))),
-    Row("displacement_denormal", some(value(5e-324), (DISPLACEMENT,))),
+    Row("infinite", some(value(-math.inf))),
+    Row("absurd", some(value(1e300))),
+    Row("denormal", some(value(5e-324))),
     Row("force_spike", some(plus(0.5), (FORCE,))),
     Row("force_spike_large", some(value(9e4), (FORCE,))),
     Row("displacement_spike", some(plus(0.002), (DISPLACEMENT,))),
@@ -359,7 +355,6 @@ ROWS = [
     Row("topic_starts_late", without(0.0, 8.0, (DISPLACEMENT,)), good_from=8.0),
     Row("rate_changes", thinned(2, BOTH), good_from=IN_CONTACT),
     Row("rate_changes_of_one", thinned(4, (DISPLACEMENT,)), good_from=IN_CONTACT),
-    Row("two_publishers_same", twice(lambda i: i)),
     Row("two_publishers_differ", twice(lambda i: later(0.002)(value(0.0)(i)), (FORCE,))),
     # sensors
     Row("force_saturated", clipped(0.04), good_from=12.0, lies=3),

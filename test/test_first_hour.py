@@ -77,12 +77,14 @@ class Rig:
     record: Callable[[Path, Streams], Path]
 
 
-def pressed(seed: int, noise: float, rates: tuple[float, float]) -> tuple[Recording, Truth]:
+def pressed(
+    seed: int, noise: float, rates: tuple[float, float], hold: float
+) -> tuple[Recording, Truth]:
     """Return three presses of one place, to 7 mm, and the tissue that was drawn."""
     draw = np.random.default_rng([seed, 12])
     g = float(np.exp(draw.uniform(math.log(400.0), math.log(4000.0))))
     gn, alpha = float(draw.uniform(6.0, 12.0)), float(draw.uniform(0.08, 0.25))
-    press = RampHold(strain_rate=0.2, max_strain=0.35, hold_s=2.0, retract_rate=0.4)
+    press = RampHold(strain_rate=0.2, max_strain=0.35, hold_s=hold, retract_rate=0.4)
     scenario = Scenario(
         seed=seed,
         geometry=Geometry(area_m2=FACE, thickness_m=THICKNESS * (1 + draw.normal(0.0, 0.02))),
@@ -106,11 +108,11 @@ def pressed(seed: int, noise: float, rates: tuple[float, float]) -> tuple[Record
 
 
 def recorded(
-    folder: Path, layout: str, seed: int, noise: float, share: float = 0.4
+    folder: Path, layout: str, seed: int, noise: float, hold: float = 0.7
 ) -> tuple[Path, Truth]:
-    """Write a recording in a layout, at this share of its rates; return it with its truth."""
+    """Write a recording in a layout, of presses that are held [s]; return it with its truth."""
     rig = LAYOUTS[layout]
-    recording, truth = pressed(seed, noise, (share * rig.rates[0], share * rig.rates[1]))
+    recording, truth = pressed(seed, noise, rig.rates, hold)
     draw = np.random.default_rng([seed, 13])
     seconds = [
         1e-9 * (stream.stamp_ns - recording.force.stamp_ns[0]) + 1.0
@@ -274,7 +276,7 @@ def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(tmp_path, cap
 def test_errors_are_as_large_as_is_said(layout, noise, tmp_path, capsys):
     last = []
     for seed in range(SEEDS):
-        contacts, truth = identified(tmp_path / str(seed), layout, seed, noise, capsys, share=1.0)
+        contacts, truth = identified(tmp_path / str(seed), layout, seed, noise, capsys, hold=2.0)
         for contact in contacts:
             found = deviations(contact, truth)
             assert all(abs(error) < 5.0 for error in found.values()), (seed, found)

@@ -24,6 +24,7 @@ CONFIG = """\
 /**:
   ros__parameters:
     geometry: {area: 7.85e-5, thickness: 0.03}
+    estimate: {period: 0.02}
 """
 
 
