@@ -150,21 +150,28 @@ def test_bytes_damaged_anywhere_are_read_or_refused_in_one_line(kind, tmp_path):
             assert len(read) <= 240
 
 
-def test_a_topic_without_messages_is_named_as_such(tmp_path):
+@pytest.mark.parametrize(
+    ("stream", "empty", "kind"),
+    [
+        ("force", "/force", "geometry_msgs/msg/WrenchStamped"),
+        ("displacement", "/joints", "sensor_msgs/msg/JointState"),
+    ],
+)
+def test_a_topic_without_messages_is_named_as_such(stream, empty, kind, tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
-        bag.add_topic("/joints", "sensor_msgs/msg/JointState")
-        for message in small()[1::2]:
-            bag.write("/joints", decode(message), message.log_time_ns)
+        for first in small(1):
+            bag.add_topic(first.topic, first.type_name)
+        for message in small():
+            if message.topic != empty:
+                bag.write(message.topic, decode(message), message.log_time_ns)
     for topics, words in (
-        ({}, "/force (geometry_msgs/msg/WrenchStamped, no messages)"),
-        ({"force": "/force"}, "topic /force has no messages"),
+        ({}, f"{empty} ({kind}, no messages)"),
+        ({stream: empty}, f"topic {empty} has no messages"),
     ):
-        for use in (lambda s: replay(tmp_path / "bag", check({}), s), None):
+        for use in (lambda path, chosen: replay(path, check({}), chosen), read):
             with pytest.raises(InputError) as caught:
-                use(Selection(topics)) if use else read(tmp_path / "bag", Selection(topics))
-            assert words in str(caught.value)
-            assert "damaged" not in str(caught.value)
+                use(tmp_path / "bag", Selection(topics))
+            assert words in str(caught.value) and "damaged" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["/target_joints", "/joints"])
