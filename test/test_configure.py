@@ -231,7 +231,7 @@ PUNCH: dict[str, float | str] = {"kind": "flat_punch", "area": math.pi * 1e-4, "
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1])
+@pytest.mark.parametrize("delay", [0.0, *first(0.05, 0.1)])
 def test_a_press_of_tissue_proposes_a_delay_and_states_none(delay, seed):
     streams = late(delay, RampHold(0.3, 0.25, 2.0, 0.6), seed=seed)
     finding = survey([streams], PUNCH).finding("delay")
@@ -244,7 +244,7 @@ def test_a_press_of_tissue_proposes_a_delay_and_states_none(delay, seed):
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize("delay", [0.0, *first(0.03, 0.1)])
 def test_sines_at_two_frequencies_tell_a_delay_from_relaxation(delay, seed):
     sines = [Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3)]
     finding = survey([late(delay, *sines, seed=seed)], PUNCH).finding("delay")
