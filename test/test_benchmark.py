@@ -411,11 +411,11 @@ def test_tiny_run_measures_how_probabilities_hold(tmp_path, capsys, monkeypatch)
 
 def test_a_run_through_the_node_measures_all():
     """How much is lost in time is for a quiet machine to say."""
-    turns = [node.Turn(node.NODE, 200.0, 2.0), node.Turn(node.RELAY, 200.0, 2.0)]
+    turns = [node.Turn(node.NODE, 200.0, 3.0), node.Turn(node.RELAY, 200.0, 3.0)]
     rows = node.measure(2 * turns, burners=0)
     assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
     for row in rows.values():
-        assert row["sent"] == 800 and 0 <= row["lost"] < 800
+        assert row["sent"] == 1200 and 0 <= row["lost"] < 1200
         assert row["published"] > 0
         assert len(row["CPU"]) == 2 and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
         for p50, p99, most in zip(row["p50"], row["p99"], row["max"], strict=True):
