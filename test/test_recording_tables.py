@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from recording_kinds import NEWTONS, PLAIN
 from scipy.spatial.transform import Rotation
 
 from fden_ros.cli import main
+from fden_ros.core.outputs import ContactSummary
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, read_parameter_file
@@ -187,12 +189,18 @@ def arm_table(path: Path, turns: tuple[Rotation, ...], force: str, *, has_turns:
     return path
 
 
+@functools.cache
+def of_a_joint() -> ContactSummary:
+    """Return what the same press gives as two numbers a row."""
+    first, _ = replay(PRESS, read_parameter_file(PRESS.with_name("probe.yaml"))).summaries
+    return first
+
+
 @pytest.mark.parametrize(
     ("turns", "force", "has_turns", "said"),
     [
         (UPRIGHT, BASE, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
         (UPRIGHT, BASE, False, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
-        (UPRIGHT, TOOL, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, -1.0]"),
         (LYING, BASE, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [-1.0, 0.0, 0.0]"),
         (LYING, TOOL, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [0.0, 0.0, -1.0]"),
         (ASKEW, BASE, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
@@ -203,9 +211,8 @@ def test_three_places_of_an_arm_are_three_sites_whatever_the_frame_of_the_force(
     tmp_path: Path, turns: tuple[Rotation, ...], force: str, has_turns: bool, said: str
 ) -> None:
     table = arm_table(tmp_path / "robot_data.csv", turns, force, has_turns=has_turns)
-    parameters = read_parameter_file(PRESS.with_name("probe.yaml"))
-    arm = replay(table, parameters)
-    (usual, _) = replay(PRESS, parameters).summaries
+    arm = replay(table, read_parameter_file(PRESS.with_name("probe.yaml")))
+    usual = of_a_joint()
     assert [one.site_id for one in arm.summaries] == [1, 2, 3]
     for one in arm.summaries:
         assert one.converged and one.estimate is not None and usual.estimate is not None
