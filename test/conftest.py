@@ -21,9 +21,17 @@ import fden_ros.one_thread  # noqa: F401 (as in the node: threads change last bi
 
 property_helpers.load_profile()
 _domain = contextlib.ExitStack()
+#: Files that take longest are begun first: at the end no process waits long for another.
+LONGEST = (
+    *("documentation", "live", "benchmark", "configure", "faults", "parameters", "planning"),
+    *("core_rig", "core_known", "core_continuous", "cluster", "faults_node", "node_start"),
+    *("first_hour", "packaging", "commands", "commands_replay", "core_posterior", "core_mixture"),
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # pytest-xdist would begin with the files of most tests.
+    config.option.loadscopereorder = False
     # pytest-xdist's workers come here too, each after its own interpreter started.
     os.environ["ROS_DOMAIN_ID"] = str(_domain.enter_context(domain_coordinator.domain_id()))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -31,6 +39,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    places = {f"test_{name}": place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
     for alone in ("statistics", "wheels"):
         if alone in config.option.markexpr:
             continue

@@ -94,7 +94,7 @@ def shift(seed: int = 3) -> Shift:
     recording = shift_recording(seed)
     return Shift(
         tuple(items_of(recording)),
-        parameters_of(recording),
+        parameters_of(recording) | {"estimate.period": 0.02},
         tuple(recording.truth["sites"]),
         tuple(recording.truth["contacts"]),
     )

@@ -35,6 +35,20 @@ def stop_shared() -> None:
         SHARED.pop()()
 
 
+def wait_for(
+    condition: Callable[[], Any],
+    what: str,
+    timeout: float = LIMIT,
+    meanwhile: Callable[[], object] = lambda: time.sleep(0.01),
+) -> Any:
+    """Wait until `condition` holds; return its value."""
+    end = time.monotonic() + timeout
+    while not (value := condition()):
+        assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
+        meanwhile()
+    return value
+
+
 class Ears:
     """A plain node with its executor, in a context of its own."""
 
@@ -67,11 +81,7 @@ class Ears:
 
     def wait_for(self, condition: Callable[[], Any], what: str, timeout: float = LIMIT) -> Any:
         """Spin until `condition` holds; return its value."""
-        end = time.monotonic() + timeout
-        while not (value := condition()):
-            assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
-            self.executor.spin_once(timeout_sec=0.02)
-        return value
+        return wait_for(condition, what, timeout, lambda: self.executor.spin_once(0.02))
 
 
 def command_of(

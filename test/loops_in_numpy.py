@@ -6,12 +6,11 @@ r"""The response of the law in numpy: the oracle of the compiled one.
 The equations are those of :mod:`fden_ros.core.estimation.loops`. Here one step is one linear map:
 psi at the four nodes of its active part goes into the exponentials by `reach`, shape (RATES,
 NODES), and into the stress by `weighs`, shape (NODES,). What the compiled loops do in another
-order differs by rounding alone.
+order differs by rounding alone. Derivatives are held against differences in place of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -19,16 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ive
 
-from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation.loops import (
-    BY_COMPLIANCE,
-    BY_FIRST_KNOT,
-    Columns,
-    LawState,
-    Response,
-    ResponseState,
-    Steps,
-)
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.loops import LawState
 from fden_ros.core.estimation.unknowns import splines
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 from fden_ros.core.law.relaxation import COUNT as RATES
@@ -61,100 +52,48 @@ def moments(durations: Array, rates: Array) -> Array:
     return np.stack([np.exp(-y), *by_order], axis=1)
 
 
-# What is not finite is found at the end of each step.
-@np.errstate(over="ignore", invalid="ignore")
-def respond(
-    law: LawState,
-    steps: Steps,
-    compressions: Array,
-    surface: Array | None,
-    columns: Columns,
-    state: ResponseState,
-) -> Response:
-    """Return the stress at every point with its derivatives: see :func:`loops.respond`."""
-    durations, by_step, *_ = steps
-    size = compressions.size
-    free = np.zeros(size) if surface is None else surface
-    given = _Given.of(columns, size)
-    memory = _Memory.of(state)
-    stress, elastic, slope = np.empty((3, size))
-    jacobian = np.empty((size, columns.kinds.size))
-    for n, compression in enumerate(compressions):
-        if state.is_begun:
-            start = _Start(memory.last, by_step[n], float(durations[n]))
+def respond(law: LawState, durations: Array, compressions: Array, free: Array) -> Array:
+    """Return stress, elastic response and its slope at every point, shape (3, points)."""
+    by_step = moments(durations, RATE_VALUES)
+    kept, last = np.zeros(RATES), _Last(0.0, 0.0, False, 0.0)
+    found = np.empty((3, compressions.size))
+    for n, target in enumerate(compressions.tolist()):
+        if n:
+            start = _Start(last, by_step[n], float(durations[n]))
             towards = partial(_next_step, law, RATE_VALUES, start, float(free[n]))
         else:
-            state.values[:] = 0.0
             towards = partial(_first_step, law, float(free[n]))
-        step, at, stress[n] = _settled(law, towards, float(compression), memory)
-        if not np.isfinite([stress[n], at]).all():
-            raise FloatingPointError("the response of the law is not finite")
+        # The stress takes off from the compression: by Newton's method.
+        at = target - law.compliance * last.stress
+        for _ in range(_NEWTON_STEPS):
+            step = towards(at)
+            left = law.weights[:RATES] @ (step.decay * kept)
+            stress = float(left + step.weighs @ step.excess)
+            change = (at - target + law.compliance * stress) / step.softening
+            at -= change
+            if abs(change) < _SMALLEST_CHANGE:
+                break
+        kept = step.decay * kept + step.reach @ step.excess
         now = _elastic(law, np.array([at]))
-        elastic[n], slope[n] = now.value[0], now.by_compression[0] * step.is_active
-        jacobian[n] = _advance(memory, step, given, n, float(stress[n]))
-        memory.last[:] = at, free[n], step.is_active, stress[n], 1.0 / step.softening
-        state.is_begun = True
-    return Response(stress, jacobian, elastic, slope)
+        found[:, n] = stress, now.value[0], now.by_compression[0] * step.is_active
+        last = _Last(at, float(free[n]), step.is_active, stress)
+    return found
 
 
-class _Given(NamedTuple):
-    """The derivatives that are asked for; zeros where a column has none."""
+class _Last(NamedTuple):
+    """The point before."""
 
-    is_by_compliance: Array
-    of_law: Indices  #: each column's row in :meth:`_Elastic.derivatives`
-    motion: Array  #: (columns, points)
-    surface: Array  #: (columns, points)
-    weights: Array  #: (columns, RATES + 2)
-
-    @classmethod
-    def of(cls, columns: Columns, points: int) -> _Given:
-        count = columns.kinds.size
-        rows = np.array([0, 1, 2, 0])  # by nothing, ln G, ln Gn, the compliance
-        knots = columns.kinds - BY_FIRST_KNOT
-        motion, weights = np.zeros((count, points)), np.zeros((count, RATES + 2))
-        motion[: columns.motions.shape[0]] = columns.motions
-        has_weights = columns.weight_of >= 0
-        weights[has_weights] = columns.weights[columns.weight_of[has_weights]]
-        return cls(
-            (columns.kinds == BY_COMPLIANCE).astype(float),
-            np.where(knots < 0, rows[np.minimum(columns.kinds, 3)], 3 + knots),
-            motion,
-            np.zeros_like(motion) if columns.surfaces is None else columns.surfaces,
-            weights,
-        )
-
-
-class _Memory(NamedTuple):
-    """What goes on from point to point; views of a :class:`ResponseState`.
-
-    Row 0 is of the response itself, the others are of its derivatives.
-    """
-
-    kept: Array  #: the exponentials, (columns + 1, RATES)
-    totals: Array  #: the elastic response in excess of the free surface, (columns + 1,)
-    moved: Array  #: derivatives of the compression, (columns + 1,); 0 in row 0
-    lifted: Array  #: derivatives of the free surface, likewise
-    last: Array  #: compression, free surface, whether the law is active, stress, softness
-
-    @classmethod
-    def of(cls, state: ResponseState) -> _Memory:
-        kept, others, last = np.split(state.values, [(state.columns + 1) * RATES, -5])
-        totals, moved, lifted = others.reshape(3, -1)
-        return cls(kept.reshape(-1, RATES), totals, moved, lifted, last)
+    compression: float
+    free: float  #: the free surface
+    is_active: bool
+    stress: float
 
 
 class _Elastic(NamedTuple):
-    """The elastic response at compressions of shape (n,), with its derivatives."""
+    """The elastic response at compressions, and its derivative by them, shape (n,)."""
 
     value: Array
     by_compression: Array
-    by_log_gn: Array
-    of_knots: Array  #: weights of the knots of the characteristic's error, (n, knots)
-
-    def derivatives(self) -> Array:
-        """Return those by nothing, ln G, ln Gn and each knot, shape (3 + knots, n)."""
-        by_knots = self.value * self.of_knots.T
-        return np.vstack([np.zeros_like(self.value), self.value, self.by_log_gn, by_knots])
 
 
 def _elastic(law: LawState, compression: Array) -> _Elastic:
@@ -174,12 +113,8 @@ def _elastic(law: LawState, compression: Array) -> _Elastic:
     if law.is_one_sided:
         unit = np.where(compression < 0.0, 0.0, unit)
     signed = np.where(compression < 0.0, -unit, unit)
-    return _Elastic(
-        value=signed * ratio,
-        by_compression=unit * (law.nonlinear_stiffness * growth + tilt * ratio) * by_size,
-        by_log_gn=signed * (scaled * growth - ratio),
-        of_knots=of_knots,
-    )
+    slope = unit * (law.nonlinear_stiffness * growth + tilt * ratio) * by_size
+    return _Elastic(signed * ratio, slope)
 
 
 @dataclass(frozen=True)
@@ -216,7 +151,7 @@ class _Step:
 class _Start(NamedTuple):
     """Where a step begins, and what is known of it."""
 
-    last: Array  #: of the memory
+    last: _Last
     moments: Array
     duration: float
 
@@ -243,10 +178,10 @@ def _next_step(
     law: LawState, rates: Array, start: _Start, surface: float, compression: float
 ) -> _Step:
     """Return the step from the last point to one with a given free surface."""
-    was_active, is_active = bool(start.last[2]), _is_active(law, compression, surface)
+    was_active, is_active = start.last.is_active, _is_active(law, compression, surface)
     crosses = was_active != is_active
-    motion = float(start.last[0]), compression
-    free = float(start.last[1]), surface
+    motion = start.last.compression, compression
+    free = start.last.free, surface
     crossing = _crossing(law, motion, free, is_active) if crosses else 0.0
     begin = crossing if is_active else 0.0
     end = 1.0 if is_active or not crosses else crossing
@@ -324,54 +259,6 @@ def _crossing(
         else:
             low = at
     return at
-
-
-def _settled(
-    law: LawState, towards: Callable[[float], _Step], target: float, memory: _Memory
-) -> tuple[_Step, float, float]:
-    """Return the step to a target less what the stress takes off, its end and the stress there.
-
-    By Newton's method where there is a compliance.
-    """
-    at = target - law.compliance * float(memory.last[3])
-    for _ in range(_NEWTON_STEPS):
-        step = towards(at)
-        left = law.weights[:RATES] @ (step.decay * memory.kept[0])
-        stress = float(left + step.weighs @ step.excess)
-        change = (at - target + law.compliance * stress) / step.softening
-        at -= change
-        if abs(change) < _SMALLEST_CHANGE:
-            break
-    return step, at, stress
-
-
-def _advance(memory: _Memory, step: _Step, columns: _Given, n: int, stress: float) -> Array:
-    """Bring the memory to the end of a step; return the derivatives of the stress there."""
-    weights, compliance = step.law.weights[:RATES], step.law.compliance
-    memory.kept[:] *= step.decay
-    memory.kept[0] += step.reach @ step.excess
-    memory.totals[0] = step.total @ step.excess
-    moved = columns.motion[:, n] - columns.is_by_compliance * stress
-    lifted = columns.surface[:, n]
-    psi = step.nodes.derivatives()[columns.of_law]
-    psi += step.nodes.by_compression * _between(memory.moved[1:], moved, step.parts)
-    psi -= _between(memory.lifted[1:], lifted, step.parts)
-    own = np.array([*memory.kept[0], memory.totals[0], step.per_second @ step.excess])
-    derivatives = memory.kept[1:] @ weights + psi @ step.weighs + columns.weights @ own
-    # The stress takes off from the compression, and with it from itself.
-    derivatives /= step.softening
-    psi -= np.outer(compliance * derivatives, step.by_end)
-    memory.kept[1:] += psi @ step.reach.T
-    memory.totals[1:] = psi @ step.total
-    memory.moved[1:] = moved - compliance * derivatives
-    memory.lifted[1:] = lifted
-    return derivatives
-
-
-def _between(before: Array, after: Array, parts: Array) -> Array:
-    """Return what goes linearly from (columns,) to (columns,), at parts: (columns, NODES)."""
-    result: Array = before[:, None] + np.outer(after - before, parts)
-    return result
 
 
 def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:

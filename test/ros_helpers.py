@@ -21,7 +21,7 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from live_helpers import LIMIT, SHARED, Ears, command_of, process_of
+from live_helpers import LIMIT, SHARED, Ears, command_of, process_of, wait_for
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -62,15 +62,6 @@ LOSSLESS: dict[str, Any] = {
     "qos_overrides./identifier/estimate.publisher.depth": 10000,
     "qos_overrides./identifier/classification.publisher.depth": 1000,
 }
-
-
-def wait_for(condition: Callable[[], Any], what: str, timeout: float = LIMIT) -> Any:
-    """Wait until `condition` holds; return its value."""
-    end = time.monotonic() + timeout
-    while not (value := condition()):
-        assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
-        time.sleep(0.01)
-    return value
 
 
 class Remote(Ears):

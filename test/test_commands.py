@@ -83,6 +83,54 @@ def test_a_number_is_refused_outside_its_bounds(bounds, good, bad, words):
         convert(bad)
 
 
+#: A command, its exit code, and words of the one line that says why.
+REFUSALS = [
+    ("benchmark robots --cases frictio -o {tmp}", 1, "there is no case 'frictio'"),
+    ("benchmark laws --cases , -o {tmp}", 1, "no case is named"),
+    ("benchmark exact --first -1 -o {tmp}", 1, "not negative"),
+    ("benchmark robots --parameters nowhere.yaml -o {tmp}", 1, "cannot read the parameter file"),
+    ("benchmark robots --ratio -1 -o {tmp}", 1, "must be positive"),
+    ("benchmark real nowhere -o {tmp}", 1, "no such folder"),
+    ("plan --config {probe}", 1, "state --noise"),
+    ("plan --noise 0.01 --rate 100", 1, "state probe and tissue"),
+    ("plan --config {probe} --after nothing.json", 1, "cannot be read"),
+    ("plan --target stiffness=0.1", 2, "stiffness"),
+    ("train nowhere -o {tmp}/l.yaml", 1, "which tissue is it? Write TISSUE=nowhere"),
+    ("train liver=nowhere -o {tmp}/l.yaml", 1, "no such file or folder"),
+    ("train unknown/one=nowhere -o {tmp}/l.yaml", 1, "cannot be called `unknown`"),
+    ("replay {tmp}/nowhere", 1, "does not exist"),
+    ("replay {tmp}/press.csv", 1, "it has time, force, depth"),
+    ("replay", 2, "error: "),
+    ("replay bag --force-field a..b", 2, "error: "),
+    ("replay bag --force", 2, "error: "),
+    ("replay {pose} -o {pose} --force", 1, "the recording itself"),
+    ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "no push"),
+    ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "force, torque"),
+    ("replay {pose} --force-topic /tool/wrench --force-field header.frame_id", 1, "neither a num"),
+    ("replay {pose} --from-touch", 1, "is no table: --from-touch is for tables"),
+    ("replay {pose} --rows a=b", 1, "is no table: --rows is for tables"),
+    ("replay {pose} --diameter 50furlong", 2, "is no size"),
+    ("replay {pose} --area -1", 2, "is no size"),
+    ("replay {pose} --diameter 5mm --area 1mm2", 2, "not allowed with"),
+    ("replay http://127.0.0.1:1/press.mcap", 1, "http://127.0.0.1:1/press.mcap cannot be reached"),
+    ("replay http://127.0.0.1:1/press.csv", 1, "http://127.0.0.1:1/press.csv cannot be reached"),
+    ("replay sftp://me@127.0.0.1:1/press", 1, "sftp://me@127.0.0.1:1/press cannot be reached"),
+    ("replay gopher://lab/press.mcap", 1, "gopher://lab/press.mcap is no URL that can be read"),
+]
+
+
+@pytest.mark.parametrize(("command", "code", "words"), REFUSALS)
+def test_what_cannot_be_done_is_one_line_and_an_exit_code(command, code, words, tmp_path, capsys):
+    (tmp_path / "press.csv").write_text("time,force,depth\n0,1,2\n")
+    places = {"tmp": tmp_path, "pose": POSE, "probe": ROOT / "examples" / "probe.yaml"}
+    try:
+        found = main([word.format(**places) for word in command.split()])
+    except SystemExit as error:
+        found = int(str(error.code))
+    line = capsys.readouterr().err
+    assert (found, line.count("\n")) == (code, 1) and words in line
+
+
 # ``fden batch``: an archive of bags, identified by processes of this machine
 
 
@@ -313,11 +361,10 @@ def test_the_report_draws_the_path(bag, tmp_path):
     )
 
 
-@pytest.mark.parametrize("first", [500, 700])
-def test_what_begins_in_contact_is_reported_as_contacts_not_as_a_path(first, tmp_path, capsys):
+def test_what_begins_in_contact_is_reported_as_contacts_not_as_a_path(tmp_path, capsys):
     press, page = tmp_path / "press.csv", tmp_path / "page.html"
     heading, *rows = (ROOT / "examples" / "press.csv").read_text(encoding="utf-8").splitlines()
-    press.write_text("\n".join([heading, *rows[first:]]))
+    press.write_text("\n".join([heading, *rows[700:]]))
     config = str(ROOT / "examples" / "probe.yaml")
     assert main(["report", str(press), "--config", config, "-o", str(page)]) == 0
     assert "<h2>Contacts</h2>" in page.read_text(encoding="utf-8")

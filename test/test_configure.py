@@ -5,18 +5,20 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import re
 import sys
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import shift
+from fault_helpers import first_press
 from frame_helpers import Place, arm, place, write_bag
 from live_helpers import process_of
 from property_helpers import first
@@ -66,7 +68,7 @@ DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
     (1089, {}),
 )
 #: Those that are looked at in each run.
-OFTEN = (1008, 1009, 1025, 1031, 1058, 1071, 1075)
+OFTEN = (1025, 1058, 1071)
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
     "turns": True,
@@ -229,7 +231,7 @@ PUNCH: dict[str, float | str] = {"kind": "flat_punch", "area": math.pi * 1e-4, "
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1])
+@pytest.mark.parametrize("delay", [0.0, *first(0.05, 0.1)])
 def test_a_press_of_tissue_proposes_a_delay_and_states_none(delay, seed):
     streams = late(delay, RampHold(0.3, 0.25, 2.0, 0.6), seed=seed)
     finding = survey([streams], PUNCH).finding("delay")
@@ -242,7 +244,7 @@ def test_a_press_of_tissue_proposes_a_delay_and_states_none(delay, seed):
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize("delay", [0.0, *first(0.03, 0.1)])
 def test_sines_at_two_frequencies_tell_a_delay_from_relaxation(delay, seed):
     sines = [Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3)]
     finding = survey([late(delay, *sines, seed=seed)], PUNCH).finding("delay")
@@ -304,23 +306,21 @@ def test_every_value_in_the_file_stands_below_where_it_is_from(bag, tmp_path):
 
 def test_presses_of_one_place_are_one_site_without_positions(tmp_path, capsys):
     output = tmp_path / "probe.yaml"
-    for more, sites in ([], [1, 2]), (["--one-place"], [1, 1]):
+    for more in [], ["--one-place"]:
         assert run("configure", PRESS, "-o", output, *more) == 0
         assert ("place: CANNOT TELL" in output.read_text(encoding="utf-8")) == (not more)
-        capsys.readouterr()
-        run("replay", PRESS, "--config", output, "--json")
-        contacts = json.loads(capsys.readouterr().out)["contacts"]
-        assert [contact["site"] for contact in contacts] == sites
+    capsys.readouterr()
+    run("replay", PRESS, "--config", output, "--json")
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    assert [contact["site"] for contact in contacts] == [1, 1]
 
 
 def test_a_table_in_millimetres_is_told_and_its_headings_are_read(tmp_path, capsys):
-    assert run("configure", PRESS, "--json") == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["parameters"]["force.inverted"] is False
     table = tmp_path / "press.csv"
     table.write_text(PRESS.read_text(encoding="utf-8").replace("depth_mm", "depth", 1))
     assert run("configure", table, "--columns", "time_s,force_N,depth", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
+    assert answer["parameters"]["force.inverted"] is False
     units = [f for f in answer["findings"] if f["subject"] == "displacement unit"]
     assert units[0]["value"] == "mm"
     assert any("millimetres" in problem for problem in answer["problems"])
@@ -347,16 +347,6 @@ def test_signs_that_the_data_leave_open_are_said_with_their_probability_by_the_r
     said = capsys.readouterr()
     assert words in said.err and said.err.startswith(f"ATTENTION: {probe}: the axis of the force")
     assert json.loads(said.out)["contacts"] is not None
-    # Signs that the data show say nothing of the kind.
-    assert run("configure", PRESS, *INDENTER, "-o", probe, "--json") == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert all(
-        f["probability"] > 0.9999 and f["claim"] and "probability of over 0.9999" in f["evidence"]
-        for f in answer["findings"]
-        if f["subject"].endswith("axis")
-    )
-    assert run("replay", PRESS, "--config", probe) == 0
-    assert "ATTENTION" not in capsys.readouterr().err
 
 
 def test_a_force_without_any_noise_warns_of_nothing(tmp_path, capsys):
@@ -370,16 +360,13 @@ def test_a_force_without_any_noise_warns_of_nothing(tmp_path, capsys):
     assert abs(found["force drift"]["value"]) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["recorder 1.log", "recorder"])
-def test_columns_are_said_once_whatever_a_table_is_called(name, tmp_path, capsys):
-    table, probe = tmp_path / name, tmp_path / "probe.yaml"
+def test_columns_are_said_once_whatever_a_table_is_called(tmp_path, capsys):
+    table, probe = tmp_path / "recorder 1.log", tmp_path / "probe.yaml"
     _, _, rows = PRESS.read_text(encoding="utf-8").partition("\n")
     table.write_text(f"zeit;kraft;tiefe\n{rows.replace(',', ';').replace('.', ',')}")
     columns = ("--columns", "zeit,kraft,tiefe*1e-3")
     indenter = ("--flat-punch", "3.14e-4", "--thickness", "0.02")
     assert run("configure", table, *columns, *indenter, "-o", probe) == 0
-    for command in ("replay", "report"):
-        assert run(command, table, "--config", probe) == 0
     assert run("batch", table, "--config", probe, "-o", tmp_path / "contacts.csv") == 0
     assert "2 contacts new" in capsys.readouterr().out
 
@@ -414,7 +401,7 @@ INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
 
 @pytest.fixture(scope="module")
 def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(shift()))
+    return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(first_press()))
 
 
 def test_frames_are_found_and_the_file_replays(arm_bag, tmp_path, capsys):
@@ -434,7 +421,7 @@ def test_frames_that_are_not_clear_are_asked_for_with_the_list(arm_bag, tmp_path
     assert main(["configure", str(arm_bag), "--frames", "base,tool"]) == 1
     assert "of base, camera, flange, link, sensor, tip" in capsys.readouterr().err
     second = place(1, "sensor", "knife", np.zeros(3), Rotation.identity(), static=True)
-    samples = [*arm(shift()), second]
+    samples = [*arm(first_press()), second]
     assert isinstance(second, Place)
     assert main(["configure", str(write_bag(tmp_path / "two", samples))]) == 1
     assert "--frames BASE,PROBE, of base, camera, flange, knife" in capsys.readouterr().err
@@ -522,15 +509,15 @@ LAYOUTS: dict[str, tuple[str, str, str, float, bool]] = {
 }
 
 
-def rig_of(sign: float, compensated: bool, **chosen: Any) -> SimulatedRig:
-    mass = 0.0 if compensated else 0.4
+@functools.cache
+def rig_of(sign: float, compensated: bool) -> SimulatedRig:
     return whole_rig(
+        presses=2,
         rigid=False,
         sensor_sign=sign,
-        mass=mass,
+        mass=0.0 if compensated else 0.4,
         force_rate=120.0,
         displacement_rate=100.0,
-        **chosen,
     )
 
 
@@ -545,11 +532,19 @@ def test_every_robot_has_a_layout_here_and_names_its_sources():
     for name in robot_names():
         robot = robot_named(name)
         assert robot.sources
-        assert robot.force.convention
-        assert robot.displacement.convention
+        for quantity, topic in zip(robot.quantities.values(), LAYOUTS[name], strict=False):
+            assert quantity.convention
+            assert any(fnmatch(topic, pattern) for pattern in quantity.topics)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+#: Another type, another sign and a weight are looked at in each run, what is alike is not.
+OTHERS = ("crtk", "franka", "xarm")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[] if n in OTHERS else pytest.mark.statistics) for n in LAYOUTS],
+)
 def test_topics_signs_and_weight_are_found_in_the_layout_of(name, tmp_path, capsys):
     force, displacement, kind, sign, compensated = LAYOUTS[name]
     rig = rig_of(sign, compensated)

@@ -87,12 +87,12 @@ def verdict(seed: int) -> Verdict:
 @pytest.mark.parametrize(
     "seeds",
     [
-        range(12),
+        range(4),
         # Single presses without a hold, whose force axes were reversed once.
-        (239, 245, 296, 570, 858, 5747),
+        (239, 5747),
         # A drift that outdoes the contact.
         (20330,),
-        pytest.param(range(200), marks=pytest.mark.statistics),
+        pytest.param((*range(200), 245, 296, 570, 858), marks=pytest.mark.statistics),
     ],
 )
 def test_signs_of_slow_presses_are_right_or_left_open(seeds):

@@ -27,7 +27,9 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.oscillation.local_stiffness import LocalStiffness
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
+from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
+from fden_ros.core.oscillation.palpation import palpated as told_by
 from fden_ros.parameters import check, pipeline_config
 
 START_NS = 5_000_000_000
@@ -149,19 +151,15 @@ def errors(profile: str, is_rigid: bool, seeds: int) -> np.ndarray:
     return np.array(found)
 
 
-CONDITIONS = [
-    ("constant", False),
-    ("constant", True),
-    ("smooth", True),
-    ("edge", False),
-    ("edge", True),
-]
+CONDITIONS = first(
+    ("constant", True), ("smooth", True), ("edge", False), ("constant", False), ("edge", True)
+)
 
 
 @pytest.mark.parametrize("seeds", counts(3, 12))
-@pytest.mark.parametrize(("profile", "is_rigid"), CONDITIONS)
-def test_deviations_hold_along_the_path(profile, is_rigid, seeds):
-    found = errors(profile, is_rigid, seeds)
+@pytest.mark.parametrize("condition", CONDITIONS, ids=str)
+def test_deviations_hold_along_the_path(condition, seeds):
+    found = errors(*condition, seeds)
     assert len(found) > 15 * seeds
     rms = np.sqrt(np.mean(found**2, axis=0))
     # The places of one record have errors in common.
@@ -179,6 +177,21 @@ def test_neither_g_nor_gn_is_claimed_of_another_law_and_nothing_is_converged():
     assert all(not one.valid & ParameterSet.STIFFNESS for one in estimates)
     assert all(one.known | ParameterSet.FRACTIONAL_ORDER == 4 for one in estimates)
     assert not any(one.converged for one in of(ContactSummary, outputs))
+
+
+def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_variances():
+    value, sd = 400.0 * np.exp(0.5j * math.pi * 0.3), 20.0
+    prior = replace(Prior(), fractional_order=0.1, fractional_order_sd=0.05)
+    found = told_by(
+        Stiffness(value, sd**2 * np.eye(2)), 9.0, 1e-3, 0.1, EstimatorConfig(prior), 99
+    )
+    assert found is not None
+    own = (2.0 / math.pi * sd / 400.0) ** 2
+    order = (0.3 / own + 0.1 / 0.05**2) / (1.0 / own + 1.0 / 0.05**2)
+    assert found.estimate.fractional_order == pytest.approx(order, rel=1e-6)
+    assert found.estimate.fractional_order_sd**-2.0 == pytest.approx(
+        1.0 / own + 0.05**-2, rel=1e-6
+    )
 
 
 NONLINEAR = {"geometry.area": 3e-4, "geometry.thickness": 0.02, "geometry.thickness_sd": 0.0}
@@ -256,14 +269,14 @@ def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold(seeds):
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("law", ["linear", "quadratic", "power"])
+@pytest.mark.parametrize("law", first("quadratic", "power", "linear"))
 def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law, seed):
     estimates, count = nonlinear_places(nonlinear(seed, 8.0, 0.25, law=law), **RIGID)
     assert count > 30 and not estimates
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("depth", [0.06, 0.125, 0.16])
+@pytest.mark.parametrize("depth", first(0.125, 0.06, 0.16))
 def test_a_stroke_that_passes_the_boundary_tells_no_wrong_gn(depth, seed):
     """Half way at 0.125; where the surface comes by as much, the stroke is beyond for a while."""
     estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth), **RIGID)

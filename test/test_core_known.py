@@ -44,6 +44,7 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.lift_off import LiftOff
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.replay import contact_object
@@ -347,6 +348,13 @@ def test_a_touch_whose_linear_part_noise_hides_leaves_g_open_and_shows_gn(seed):
     assert np.all(np.abs(off) < 3.0), (seed, off)
 
 
+def test_tissue_leaves_no_probe_that_holds_still():
+    leaving = LiftOff(0.01, 1e4, is_first=False)
+    # A force, then none as noise has it, at the same place, and farther out.
+    course = [(0.1, 0.2), (0.0, 0.2), (0.0, 0.1999), (0.0, 0.1)]
+    assert [leaving.is_free(0.01, *sample, None) for sample in course] == [False] * 3 + [True]
+
+
 def test_a_sphere_on_a_noisy_sensor_shows_g_and_gn():
     """Its force begins without a slope, so that 5 mN hid where, and G was open by its prior."""
     scenario = Scenario(
@@ -373,7 +381,7 @@ STRAIN, RAMP = 0.25, 1.0
 MODEL = FdenModel(2000.0, 8.0, 0.2)
 
 
-@pytest.mark.parametrize("seeds", counts(2, 8))
+@pytest.mark.parametrize("seeds", counts(1, 8))
 @pytest.mark.parametrize(
     ("name", "rig"),
     [
@@ -392,7 +400,7 @@ def test_a_relaxation_that_has_begun_or_ended_is_predicted_in_its_interval(name,
         if prediction.moment in IN_THE_HOLD
     ]
     predicted = [prediction.inside for prediction in made if not prediction.refusal]
-    assert len(made) >= 3
+    assert len(made) == 2 * seeds
     assert np.count_nonzero(predicted) >= 0.9 * len(predicted)
 
 

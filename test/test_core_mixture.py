@@ -198,7 +198,7 @@ def log_posterior(posterior: Any, points: Any, errors: Any, scales: Any, state: 
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.statistics) for k in range(3, 20))]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.statistics) for k in range(1, 20))]
 )
 def test_an_optimiser_with_many_starts_finds_no_better_maximum(seed: int) -> None:
     record = pressed(seed)

@@ -226,21 +226,20 @@ modes = st.sampled_from(
 )
 
 
-def checked(items: Sequence[Item], parameters: dict[str, object]) -> None:
-    """Hold the invariants for one stream, run twice."""
-    parameters = {"geometry.area": 1e-4, "geometry.thickness": 0.02, **parameters}
-    outcome, again = outcome_of(items, parameters), outcome_of(items, parameters)
+def checked(items: Sequence[Item], parameters: dict[str, object]) -> Outcome:
+    """Hold the invariants for one stream."""
+    outcome = outcome_of(items, parameters)
     assert not outcome.pipeline.failures
     assert_sound(outcome.outputs)
-    assert pickle.dumps(outcome.outputs) == pickle.dumps(again.outputs)
     stamps = [o.stamp_ns for o in outcome.outputs if isinstance(o, TissueState)]
     back = sum(after <= before for before, after in itertools.pairwise(stamps))
     jumps = sum(n for words, n in outcome.pipeline.warnings.items() if "jumped back" in words)
     assert back <= jumps
     assert outcome.pipeline._synchronizer.waiting < 50_000
+    return outcome
 
 
-@examples(100)
+@examples(60)
 @example(
     [(0, 1, 0.0, False)] * 11
     + [(0, 9990, 0.0, False), (0, 10000, 5e-324, False), (0, 10000, 1.0, False)],
@@ -264,7 +263,9 @@ def test_any_stream_gives_sound_and_repeatable_outputs(stream, parameters):
         now += step
         position = (value, 0.0, value) if has_position else None
         items.append(Item(which, now, value, position if which else None))
-    checked(items, parameters)
+    parameters = {"geometry.area": 1e-4, "geometry.thickness": 0.02, **parameters}
+    once, again = checked(items, parameters), checked(items, parameters)
+    assert pickle.dumps(once.outputs) == pickle.dumps(again.outputs)
 
 
 damages = st.lists(
@@ -296,7 +297,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
     return [item._replace(value=new.get(kind, item.value))]
 
 
-@examples(8)
+@examples(4)
 @example([("add", 757, 45, 9.99, 101), ("value", 332, 1, 0.434, 1)], {})
 @example(
     [
@@ -317,7 +318,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
     {"estimator.observation": "fractional_stress"},
 )
 @given(damages, modes)
-def test_any_damage_to_a_contact_gives_sound_and_repeatable_outputs(done, parameters):
+def test_any_damage_to_a_contact_gives_sound_outputs(done, parameters):
     s = shift()
     items = [i for i in s.items if 1.2 < s.second(i.stamp_ns) < 5.2]
     for kind, place, length, value, step in done:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fault_helpers import outcome_of
 from pipeline_helpers import FORCE, feed, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts
+from property_helpers import counts, first
 
 from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
@@ -55,13 +55,13 @@ CONFIG = EstimatorConfig(uncertainty=ARM)
 
 
 def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
-    """Noise spoke of the compliance: alpha went on by a deviation in 30 s, 6 off after 200 s."""
+    """Noise spoke of the compliance: alpha went on by a deviation in 30 s."""
     tissue = Tissue(linear_stiffness=2234.0, nonlinear_stiffness=3.83, fractional_order=0.344)
     scenario = Scenario(
         geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
-        sites=(Site(tissue, (RampHold(0.28, 0.25, 90.0, 0.6),)),),
-        force=ForceSensor(rate_hz=30.0, noise_stress_pa=6.2),
-        displacement=DisplacementSensor(rate_hz=30.0),
+        sites=(Site(tissue, (RampHold(0.28, 0.25, 20.0, 0.6),)),),
+        force=ForceSensor(rate_hz=20.0, noise_stress_pa=5.1),
+        displacement=DisplacementSensor(rate_hz=20.0),
     )
     parameters = {
         "geometry.area": math.pi * 1e-4,
@@ -75,7 +75,7 @@ def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
     }
     _, outputs = identified(items_of(simulate(scenario, 1)), parameters)
     held = [o.estimate for o in outputs if isinstance(o, TissueState) and o.phase is Phase.HOLDING]
-    early, late = held[900], held[-1]
+    early, late = held[120], held[-1]
     moved = (late.fractional_order - early.fractional_order) / early.deviations[2]
     assert abs(moved) < 0.3
 
@@ -244,12 +244,13 @@ def of_three_sites(name, own):
     return trial_of(replace(case_of(name), sites=3, pitch_m=0.02), 0, own).contacts[-1]
 
 
-@pytest.mark.parametrize(("rate", "number"), [(100.0, 3), (100.0, 5), (250.0, 24)])
-def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(rate, number, monkeypatch):
+@pytest.mark.parametrize("trial", first((100.0, 3), (100.0, 5), (250.0, 24)))
+def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(trial, monkeypatch):
     """Rounding of the time since the first touch made other blocks of the second press of a place
     than of the first of another, whose evidence was then 30 lower: alpha was 6 to 11 deviations
     off without a flag.
     """
+    rate, number = trial
     monkeypatch.setattr(presses, "RATE_HZ", rate)
     contacts = trial_of(replace(case_of("undisturbed"), sites=3), number, {}).contacts
     assert len(contacts) == 3
@@ -278,12 +279,16 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
     stated = of_three_sites(name, {"surface.learn_motion": False})
     assert bool(np.all(learned.deviation < 0.95 * stated.deviation)) == is_learned
     assert np.all(np.abs(learned.error) < 3.0 * learned.deviation)
-    if not breathes:
-        # Where the law is exact the drift is a larger part of what is uncertain.
-        exact = {"model_error.sd": 0.0}
-        learned = of_three_sites(name, exact)
-        stated = of_three_sites(name, {**exact, "force.learn_drift": False})
-        assert learned.deviation[0] < 0.97 * stated.deviation[0]
+
+
+@pytest.mark.statistics
+def test_a_drift_that_was_learned_sharpens_the_next_site(monkeypatch):
+    """Where the law is exact the drift is a larger part of what is uncertain."""
+    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
+    exact = {"model_error.sd": 0.0}
+    learned = of_three_sites("undisturbed", exact)
+    stated = of_three_sites("undisturbed", {**exact, "force.learn_drift": False})
+    assert learned.deviation[0] < 0.97 * stated.deviation[0]
 
 
 def ratios(name, numbers):
@@ -512,7 +517,7 @@ def late_press(seed: int, delay: float) -> Any:
 
 
 @pytest.mark.parametrize("numbers", counts(1, 12))
-@pytest.mark.parametrize("delay", [-0.05, 0.0, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("delay", [-0.05, 0.1, *first(0.02, 0.0, 0.05)])
 def test_a_delay_of_up_to_100_ms_is_learned_and_gives_no_wrong_number(delay, numbers):
     converged = 0
     for seed in range(numbers):

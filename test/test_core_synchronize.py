@@ -19,7 +19,7 @@ from fden_ros.core.streams.guard import GapGuard
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: No test depends on the time it takes, nor on chance.
-steady = examples(200)
+steady = examples(100)
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -77,7 +77,7 @@ class Row:
     also : Status
         What else the status may be in contact, until the probe is lifted.
     lies : int
-        For so many blocks of 10 ms a number may be wrong before it is noticed: the table says it.
+        For so many blocks of 20 ms a number may be wrong before it is noticed: the table says it.
     fails : int
         How many exceptions the pipeline contained.
     """
@@ -124,28 +124,31 @@ def within(shift_: Shift, item: Item, begin: float, end: float, streams: tuple[i
     return item.stream in streams and shift_.at(begin) <= item.stamp_ns < shift_.at(end)
 
 
-def each(
-    change: Change,
+def replaced(
+    new: Callable[[Item], Iterable[Item]],
     begin: float = BEGIN,
     end: float = END,
     streams: tuple[int, ...] = BOTH,
 ) -> Callable[[Shift], list[Step]]:
+    """Put others in the place of each sample of a stretch of time."""
+    return lambda s: [
+        one for i in s.items for one in (new(i) if within(s, i, begin, end, streams) else [i])
+    ]
+
+
+def each(change: Change, *where: Any, **named: Any) -> Callable[[Shift], list[Step]]:
     """Change every sample of a stretch of time."""
-
-    def samples(s: Shift) -> list[Step]:
-        return [change(i) if within(s, i, begin, end, streams) else i for i in s.items]
-
-    return samples
+    return replaced(lambda item: [change(item)], *where, **named)
 
 
 def some(
-    change: Change, streams: tuple[int, ...] = BOTH, count: int = 5
+    change: Change, streams: tuple[int, ...] = BOTH, count: int = 6
 ) -> Callable[[Shift], list[Step]]:
-    """Change a few samples in the second contact, never two in a row."""
+    """Change a few samples in the second contact, of each stream in turn, never two in a row."""
 
     def samples(s: Shift) -> list[Step]:
         near = [k for k, i in enumerate(s.items) if within(s, i, BEGIN, END, streams)]
-        step = len(near) // (count + 1)
+        step = len(near) // (count + 1) | 1  # odd: the streams alternate
         chosen = set(near[step::step][:count])
         return [change(item) if k in chosen else item for k, item in enumerate(s.items)]
 
@@ -164,10 +167,8 @@ def later(seconds: float) -> Change:
     return lambda item: item._replace(stamp_ns=item.stamp_ns + round(seconds * NANOSECONDS))
 
 
-def without(
-    begin: float, end: float, streams: tuple[int, ...] = BOTH
-) -> Callable[[Shift], list[Step]]:
-    return lambda s: [i for i in s.items if not within(s, i, begin, end, streams)]
+def without(*where: Any) -> Callable[[Shift], list[Step]]:
+    return replaced(lambda item: [], *where)
 
 
 def stuck(begin: float, end: float, stream: int) -> Callable[[Shift], list[Step]]:
@@ -199,33 +200,19 @@ def shuffled(s: Shift) -> list[Step]:
 
 def twice(change: Change, streams: tuple[int, ...] = BOTH) -> Callable[[Shift], list[Step]]:
     """Let a second publisher add its own sample after each."""
-
-    def samples(s: Shift) -> list[Step]:
-        out: list[Step] = []
-        for item in s.items:
-            out.append(item)
-            if within(s, item, BEGIN, END, streams):
-                out.append(change(item))
-        return out
-
-    return samples
+    return replaced(lambda item: [item, change(item)], streams=streams)
 
 
 def thinned(every: int, streams: tuple[int, ...]) -> Callable[[Shift], list[Step]]:
     """Keep one sample in `every` from the contact on."""
 
-    def samples(s: Shift) -> list[Step]:
-        counts = [0, 0]
-        out: list[Step] = []
-        for item in s.items:
-            if within(s, item, IN_CONTACT, 99.0, streams):
-                counts[item.stream] += 1
-                if counts[item.stream] % every:
-                    continue
-            out.append(item)
-        return out
+    counts = [0, 0]
 
-    return samples
+    def kept(item: Item) -> list[Item]:
+        counts[item.stream] += 1
+        return [] if counts[item.stream] % every else [item]
+
+    return replaced(kept, IN_CONTACT, 99.0, streams)
 
 
 def called(action: Callable[[Pipeline], object], *seconds: float) -> Callable[[Shift], list[Step]]:
@@ -335,16 +322,12 @@ UNSET = (0.0, 0.0, 0.0, 0.0)
 
 ROWS = [
     # values
-    Row("force_nan", some(value(math.nan), (FORCE,))),
+    Row("nan", some(value(math.nan))),
     Row("force_nan_run", NAN_FORCE),
-    Row("displacement_nan", some(value(math.nan), (DISPLACEMENT,))),
     Row("displacement_nan_run", NAN_DISPLACEMENT),
-    Row("force_infinite", some(value(math.inf), (FORCE,))),
-    Row("displacement_infinite", some(value(-math.inf), (DISPLACEMENT,))),
-    Row("force_absurd", some(value(1e300), (FORCE,))),
-    Row("displacement_absurd", some(value(-1e300), (DISPLACEMENT,))),
-    Row("force_denormal", some(value(5e-324), (FORCE,))),
-    Row("displacement_denormal", some(value(5e-324), (DISPLACEMENT,))),
+    Row("infinite", some(value(-math.inf))),
+    Row("absurd", some(value(1e300))),
+    Row("denormal", some(value(5e-324))),
     Row("force_spike", some(plus(0.5), (FORCE,))),
     Row("force_spike_large", some(value(9e4), (FORCE,))),
     Row("displacement_spike", some(plus(0.002), (DISPLACEMENT,))),
@@ -372,14 +355,13 @@ ROWS = [
     Row("topic_starts_late", without(0.0, 8.0, (DISPLACEMENT,)), good_from=8.0),
     Row("rate_changes", thinned(2, BOTH), good_from=IN_CONTACT),
     Row("rate_changes_of_one", thinned(4, (DISPLACEMENT,)), good_from=IN_CONTACT),
-    Row("two_publishers_same", twice(lambda i: i)),
     Row("two_publishers_differ", twice(lambda i: later(0.002)(value(0.0)(i)), (FORCE,))),
     # sensors
-    Row("force_saturated", clipped(0.04), good_from=12.0, lies=5),
+    Row("force_saturated", clipped(0.04), good_from=12.0, lies=3),
     Row("force_stuck", stuck(9.8, 10.6, FORCE), good_from=10.6),
     Row("displacement_stuck", stuck(9.8, 10.3, DISPLACEMENT)),
     Row("force_drift", drift(0.0, 99.0, 0.002)),
-    Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), lies=46),
+    Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), lies=23),
     Row("tare_in_air", called(lambda p: p.tare(), 8.0)),
     Row("tare_under_load", called(lambda p: p.tare(), 9.3, 9.6, 10.0, 10.5)),
     Row(
@@ -481,7 +463,7 @@ def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
     s = shift()
     begin, _ = s.press(1)
     held = [item for item in s.items if s.second(item.stamp_ns) < begin + 1.8]
-    pipeline = Pipeline(pipeline_config(check(s.parameters | {"estimate.period": 1.0})), _ignored)
+    pipeline = Pipeline(pipeline_config(check(s.parameters | {"estimate.period": 1.0})), ignored)
     feed(pipeline, held)
     force, displacement = (
         next(item for item in reversed(held) if item.stream == stream) for stream in BOTH
@@ -501,7 +483,7 @@ def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
     assert max(sizes) - min(sizes) < 10_000
 
 
-def _ignored(output: object) -> None:
+def ignored(output: object) -> None:
     """Take an output and forget it."""
 
 
@@ -535,10 +517,6 @@ LEFT_OUT = {
 #: Estimates of the clean part may differ by so many standard deviations: what came before moves
 #: the grid of the blocks and the bias that was measured, not what was pressed.
 DEVIATIONS = 1.0
-
-
-def ignored(output: object) -> None:
-    """Take an output and forget it."""
 
 
 class Emitter:

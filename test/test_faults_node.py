@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
-from live_helpers import LIMIT
+from live_helpers import LIMIT, wait_for
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import ExternalShutdownException
@@ -34,7 +34,6 @@ from ros_helpers import (
     Live,
     active,
     identifier,
-    wait_for,
 )
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -178,7 +177,7 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
 
 
 @row("transitions_in_any_order")
-def test_transitions_in_any_order_from_another_thread_a_thousand_times():
+def test_transitions_in_any_order_from_another_thread_hundreds_of_times():
     """With samples coming in all the while; then the node still does what it should."""
     context = rclpy.Context()
     rclpy.init(context=context)
@@ -218,7 +217,7 @@ def test_transitions_in_any_order_from_another_thread_a_thousand_times():
             node.trigger_cleanup,
         )
         try:
-            for _ in range(1000):
+            for _ in range(300):
                 transition = generator.choice(transitions)
                 # rcl refuses what does not begin in the present state.
                 with contextlib.suppress(rclpy._rclpy_pybind11.RCLError):

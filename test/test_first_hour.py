@@ -77,16 +77,18 @@ class Rig:
     record: Callable[[Path, Streams], Path]
 
 
-def pressed(seed: int, noise: float, rates: tuple[float, float]) -> tuple[Recording, Truth]:
-    """Return three presses of one place, to 7 mm, and the tissue that was drawn."""
+def pressed(
+    seed: int, noise: float, rates: tuple[float, float], hold: float, count: int
+) -> tuple[Recording, Truth]:
+    """Return presses of one place, to 7 mm, and the tissue that was drawn."""
     draw = np.random.default_rng([seed, 12])
     g = float(np.exp(draw.uniform(math.log(400.0), math.log(4000.0))))
     gn, alpha = float(draw.uniform(6.0, 12.0)), float(draw.uniform(0.08, 0.25))
-    press = RampHold(strain_rate=0.2, max_strain=0.35, hold_s=2.0, retract_rate=0.4)
+    press = RampHold(strain_rate=0.2, max_strain=0.35, hold_s=hold, retract_rate=0.4)
     scenario = Scenario(
         seed=seed,
         geometry=Geometry(area_m2=FACE, thickness_m=THICKNESS * (1 + draw.normal(0.0, 0.02))),
-        sites=(Site(Tissue(g, gn, alpha), (press,) * 3),),
+        sites=(Site(Tissue(g, gn, alpha), (press,) * count),),
         approach=Approach(slow_distance_m=0.002),
         force=ForceSensor(
             rate_hz=rates[0],
@@ -105,10 +107,12 @@ def pressed(seed: int, noise: float, rates: tuple[float, float]) -> tuple[Record
     return simulate(scenario), Truth(math.log(g), math.log(gn), alpha)
 
 
-def recorded(folder: Path, layout: str, seed: int, noise: float) -> tuple[Path, Truth]:
-    """Write a recording in a layout; return it with its truth."""
+def recorded(
+    folder: Path, layout: str, seed: int, noise: float, hold: float = 0.7, count: int = 2
+) -> tuple[Path, Truth]:
+    """Write a recording in a layout, of presses that are held [s]; return it with its truth."""
     rig = LAYOUTS[layout]
-    recording, truth = pressed(seed, noise, rig.rates)
+    recording, truth = pressed(seed, noise, rig.rates, hold, count)
     draw = np.random.default_rng([seed, 13])
     seconds = [
         1e-9 * (stream.stamp_ns - recording.force.stamp_ns[0]) + 1.0
@@ -196,12 +200,17 @@ PAGE = Path(__file__).parent.parent / "docs" / "ur.md"
 
 
 def identified(
-    folder: Path, layout: str, seed: int, noise: float, capsys: pytest.CaptureFixture[str]
+    folder: Path,
+    layout: str,
+    seed: int,
+    noise: float,
+    capsys: pytest.CaptureFixture[str],
+    **options: Any,
 ) -> tuple[list[dict[str, Any]], Truth]:
     """Return the contacts that the commands find, the signs checked, and the truth."""
     rig = LAYOUTS[layout]
     folder.mkdir(parents=True)
-    recording, truth = recorded(folder, layout, seed, noise)
+    recording, truth = recorded(folder, layout, seed, noise, **options)
     indenter = ("--flat-punch", f"{FACE:.4g}", "--thickness", f"{THICKNESS}")
     file = folder / "probe.yaml"
     assert run("configure", recording, *rig.options, *indenter, "-o", file) == 0
@@ -209,7 +218,7 @@ def identified(
     assert_signs(file, layout)
     assert run("replay", recording, "--config", file, "--json") in (0, 3)
     contacts = json.loads(capsys.readouterr().out)["contacts"]
-    assert [one["site"] for one in contacts] == [1, 1, 1]
+    assert {one["site"] for one in contacts} == {1}
     return contacts, truth
 
 
@@ -240,7 +249,7 @@ def deviations(contact: dict[str, Any], truth: Truth) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "UR bag"])
+@pytest.mark.parametrize("layout", ["UR table", "tf bag"])
 def test_the_commands_lead_from_a_recording_to_numbers(layout, tmp_path, capsys):
     contacts, truth = identified(tmp_path / "one", layout, 0, NOISES[1], capsys)
     assert all(contact["converged"] for contact in contacts)
@@ -258,7 +267,7 @@ def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(tmp_path, cap
     for line in lines:
         assert main(shlex.split(line)) == 0, line
     assert_signs(tmp_path / "probe.yaml", "UR bag")
-    assert capsys.readouterr().out.count(" converged ") == 3
+    assert capsys.readouterr().out.count(" converged ") == 2
 
 
 @pytest.mark.statistics
@@ -267,7 +276,9 @@ def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(tmp_path, cap
 def test_errors_are_as_large_as_is_said(layout, noise, tmp_path, capsys):
     last = []
     for seed in range(SEEDS):
-        contacts, truth = identified(tmp_path / str(seed), layout, seed, noise, capsys)
+        contacts, truth = identified(
+            tmp_path / str(seed), layout, seed, noise, capsys, hold=2.0, count=3
+        )
         for contact in contacts:
             found = deviations(contact, truth)
             assert all(abs(error) < 5.0 for error in found.values()), (seed, found)

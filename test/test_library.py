@@ -292,20 +292,6 @@ def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsy
     assert any("no specimen is named for a, b" in line for line in answer["warnings"])
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        ("nowhere", "which tissue is it? Write TISSUE=nowhere"),
-        ("liver=nowhere", "no such file or folder"),
-        ("unknown/one=nowhere", "cannot be called `unknown`"),
-    ],
-)
-def test_mistake_in_a_source_is_told_in_one_line(tmp_path, capsys, source, words):
-    code, _, error = train(capsys, source, "-o", tmp_path / "l.yaml")
-    assert code == 1
-    assert words in error and error.count("\n") == 1
-
-
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """Two bags of one site each, and parameters with a wide prior."""

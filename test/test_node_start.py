@@ -18,7 +18,7 @@ from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import GetState
-from live_helpers import LIMIT
+from live_helpers import LIMIT, stop_shared
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier, stamp
@@ -285,6 +285,7 @@ def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step():
 
 
 def test_the_doctor_waits_for_diagnostics_that_it_hears_late():
+    stop_shared()  # It would answer by the same name.
     with plain_node("identifier") as (node, executor):
         sender = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         status = DiagnosticStatus(name="identifier: inputs", message="well")

@@ -259,37 +259,6 @@ def test_the_command_plans_from_what_configure_has_written(probe, tmp_path, caps
     assert capsys.readouterr().out.startswith("not possible: ")
 
 
-def test_the_command_goes_on_from_results(probe, tmp_path, capsys):
-    results = tmp_path / "press.json"
-    replayed = ["replay", "examples/press.csv", "--config", "examples/probe.yaml", "--json"]
-    assert main(replayed) == 0
-    results.write_text(capsys.readouterr().out, encoding="utf-8")
-    modes = json.loads(results.read_text(encoding="utf-8"))["contacts"][-1]["modes"]
-    assert sum(mode["weight"] for mode in modes) == pytest.approx(1.0)
-    assert main(["plan", "--config", str(probe), "--after", str(results), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["deviations"]["g_n"] < 0.1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--config", "examples/probe.yaml"], "state --noise"),
-        (["--noise", "0.01", "--rate", "100"], "state probe and tissue"),
-        (["--config", "examples/probe.yaml", "--after", "nothing.json"], "cannot be read"),
-    ],
-)
-def test_what_is_missing_is_said_in_a_line(arguments, words, capsys):
-    assert main(["plan", *arguments]) == 1
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
-def test_a_target_that_is_none_is_wrong_usage(capsys):
-    with pytest.raises(SystemExit) as exit_:
-        main(["plan", "--target", "stiffness=0.1"])
-    assert exit_.value.code == 2
-
-
 # The node planner: its answers over DDS are those of Python, from what the identifier says
 
 
@@ -476,16 +445,6 @@ def test_three_small_discs_in_place_of_a_large_one_do_not_last():
     mask = found.probability > found.level
     assert np.sum(mask & truth) / np.sum(mask | truth) > 0.9
     assert np.mean(np.sum(region._inclusions.heights > 0.3, axis=1) == 1) > 0.8
-
-
-def test_many_presses_at_once_tell_what_they_tell_one_by_one():
-    axis = np.linspace(3e-3, 57e-3, 10)
-    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    region = Region((0.0, 0.0), (0.06, 0.06))
-    found = region.solve(Presses(places, field(places), np.full(100, 0.05)))
-    truth = np.linalg.norm(region.cells - [0.04, 0.02], axis=1) < 8e-3
-    mask = found.probability > found.level
-    assert np.sum(mask & truth) / np.sum(mask | truth) > 0.85
 
 
 def test_the_command_names_the_place_that_python_names(tmp_path, capsys):

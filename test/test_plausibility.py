@@ -96,7 +96,8 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
     pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
     problems = PipelineProblems(pipeline)
     said: list[str] = []
-    for k, (time, newtons, mm) in enumerate(np.loadtxt(PRESS, delimiter=",", skiprows=1)):
+    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250)
+    for k, (time, newtons, mm) in enumerate(rows):
         stamp = round(1e9 * (1.0 + time))
         pipeline.add_displacement(stamp, displacement * 1e-3 * mm)
         pipeline.add_force(stamp, force * newtons)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_recording_kinds import KINDS, small
+from recording_kinds import bag_of, small
 
 from fden_ros.cli import main
 from fden_ros.offline.batch import Results, Work, find_bags, identify
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("shown")
     shutil.copytree(POSE, folder / "press")
     (folder / "old").mkdir()
-    KINDS["sqlite3"](folder / "old", small())
+    bag_of("sqlite3", folder / "old", small())
     shutil.move(next((folder / "old").rglob("*.db3")), folder / "old" / "old.db3")
     shutil.rmtree(folder / "old" / "bag")
     table = (ROOT / "examples" / "press.csv").read_bytes()
@@ -238,21 +238,6 @@ def test_without_the_extra_one_line_says_what_to_install(name):
     )
     (line,) = done.stderr.splitlines()
     assert done.returncode == 1 and name in line and "pip install '.[cluster]'" in line
-
-
-@pytest.mark.parametrize(
-    ("url", "words"),
-    [
-        ("http://127.0.0.1:1/press.mcap", "cannot be reached"),
-        ("http://127.0.0.1:1/press.csv", "cannot be reached"),
-        ("sftp://someone@127.0.0.1:1/press", "cannot be reached"),
-        ("gopher://lab/press.mcap", "is no URL that can be read"),
-    ],
-)
-def test_a_url_that_cannot_be_read_is_one_line(url, words, capsys):
-    assert main(["replay", url]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert url in line and words in line
 
 
 def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path):

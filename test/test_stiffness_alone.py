@@ -24,16 +24,17 @@ CONFIG = """\
 /**:
   ros__parameters:
     geometry: {area: 7.85e-5, thickness: 0.03}
+    estimate: {period: 0.02}
 """
 
 
-def pressed(bias: float = 0.4, deepest: float = 5.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, force and depth of two presses of a spring, with 0.02 N of noise."""
-    corners = [0, 2, 3.5, 5.5, 7, 9, 10.5, 12.5, 14, 16]
-    depths = [-3, 0, deepest, deepest, -3, 0, deepest, deepest, 0, -3]
+def pressed(deepest: float = 5.0, count: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, force and depth of presses of a spring, with 0.02 N of noise and a bias of 0.4 N."""
+    corners = [0, *(2 + 7 * k + t for k in range(count) for t in (0, 1.5, 3.5, 5))]
+    depths = [-3, *[0, deepest, deepest, -3] * count]
     time = np.arange(0.0, corners[-1], 1.0 / RATE)
     depth = 1e-3 * np.interp(time, corners, depths)
-    return time, _spring(depth) + bias, depth
+    return time, _spring(depth) + 0.4, depth
 
 
 def palpated(lowest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,7 +65,7 @@ def config(tmp_path: Path) -> Path:
 def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_why(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
 ) -> None:
-    table = written(tmp_path / "spring.csv", pressed(deepest=1.5))
+    table = written(tmp_path / "spring.csv", pressed(deepest=1.5, count=2))
     assert main(["replay", table, "--config", str(config)]) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
@@ -74,11 +75,6 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     value, _, deviation = said.partition(" N/m are known")[0].replace(",", "").partition(" ± ")
     assert abs(float(value) - SPRING) < 4.0 * float(deviation)
     assert said.split("as measured; ")[1].startswith("G and Gn are not: ")
-    page = tmp_path / "report.html"
-    assert main(["report", table, "--config", str(config), "-o", str(page)]) == 0
-    told = page.read_text(encoding="utf-8")
-    assert "of 1 N/m is known, G and Gn are not." in told and "not converged<" not in told
-    assert "N/m known; G and Gn not</td>" in told and "<li>N/m known; G and Gn not: " in told
     row = next(line for line in printed.out.splitlines() if line.startswith("2 "))
     assert row.split()[2].startswith(("(", "–"))
 
@@ -86,7 +82,7 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
 def test_a_spring_pressed_deep_has_its_stiffness_by_the_law_too(config: Path) -> None:
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(read_parameter_file(config)), outputs.append)
-    for time, force, depth in np.transpose(pressed()):
+    for time, force, depth in np.transpose(pressed(count=2)):
         stamp_ns = round(1e9 * (1.0 + time))
         pipeline.add_displacement(stamp_ns, float(depth))
         pipeline.add_force(stamp_ns, float(force))

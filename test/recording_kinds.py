@@ -1,0 +1,531 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The kinds of recordings that are read, a row each, and those refused with the line's words."""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+from geometry_msgs.msg import WrenchStamped
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from fden_ros.recording.cdr import serialize
+from fden_ros.recording.reader import RawMessage
+
+# Tables
+
+
+#: Time [s], force [N] and displacement [m] of the rows that every table holds.
+ROWS = [(0.0, 0.0, 0.0), (0.1, 0.25, 0.0005), (0.2, 1234.5, 0.0015), (0.3, 2.75, 0.012)]
+
+
+class Table(NamedTuple):
+    """A table, and what is expected of it."""
+
+    content: str | bytes
+    columns: str = ""  #: as with ``--columns``; "": those that the headings state
+    file: str = "press.csv"
+    skipped: int = 0  #: rows without a number where one is needed
+    refused: tuple[str, ...] = ()  #: words of the one line that says why; none: it is read
+
+
+def lines(form: str, *, time: float = 1.0, force: float = 1.0, displacement: float = 1e3) -> str:
+    """Return ROWS, a line each, in units of which so many make one of SI."""
+    return "".join(form.format(time * t, force * f, displacement * d) + "\n" for t, f, d in ROWS)
+
+
+def comma(text: str) -> str:
+    return text.replace(".", ",")
+
+
+PLAIN = lines("{:.3f},{:.4f},{:.4f}")
+NEWTONS = "Time (s),Load (N),Depth (mm)\n"
+SEMICOLONS = NEWTONS.replace(",", ";")
+GERMAN = comma(lines("{:.3f};{:.4f};{:.4f}"))
+PREAMBLE = "EF10_A_sample\nCompression test;\nSpeed (mm/min): 10;\nMachine: INSTRON 5900;\n"
+POUND, INCH, GRAVITY = 4.4482216152605, 0.0254, 9.80665
+
+
+def of_units(spelling: str, names: str, time: float, force: float, displacement: float) -> str:
+    """Return a table in units, of which so many make one of SI, in brackets or in other ways."""
+    made = [f"{word}{spelling}" for word in ("time", "force", "depth")]
+    text = ",".join(made).format(*names.split()) if "{" in spelling else "Time,Load,Depth"
+    below = "" if "{" in spelling else "\n" + ",".join(f"[{unit}]" for unit in names.split())
+    rows = lines("{:.9g},{:.12g},{:.9g}", time=time, force=force, displacement=displacement)
+    return f"{text}{below}\n{rows}"
+
+
+#: Units of time, force and displacement, and how many of each make one of SI.
+UNITS = {
+    "us mN µm": (1e6, 1e3, 1e6),
+    "ms uN nm": (1e3, 1e6, 1e9),
+    "ns nN nm": (1e9, 1e9, 1e9),
+    "h pN pm": (1 / 3600, 1e12, 1e12),
+    "min cN cm": (1 / 60, 100.0, 100.0),
+    "s kN m": (1.0, 1e-3, 1.0),
+    "s gf in": (1.0, 1e3 / GRAVITY, 1 / INCH),
+    "sec kgf mm": (1.0, 1 / GRAVITY, 1e3),
+    "s lbf um": (1.0, 1 / POUND, 1e6),
+}
+#: Four times, a tenth of a second apart, as rows have them.
+CLOCKS = {
+    "times of day": [f"10:15:0{t}" for t, *_ in ROWS],
+    "times across midnight": ["23:59:59.9", "00:00:00.0", "00:00:00.1", "00:00:00.2"],
+    "clock with thousandths": [f"10:15:00:{1e3 * t:03.0f}" for t, *_ in ROWS],
+    "minutes": ["01:02.9", "01:03.0", "01:03.1", "01:03.2"],
+    "dates": [f"2026-03-04 10:15:0{3 + t}" for t, *_ in ROWS],
+    "dates of ISO": [f"2026-03-04T10:15:0{3 + t}Z" for t, *_ in ROWS],
+    "German dates": [
+        *("04.03.2026 23:59:59,9", "05.03.2026 00:00:00,0"),
+        *("05.03.2026 00:00:00,1", "05.03.2026 00:00:00,2"),
+    ],
+    "halves of a day": [
+        *("3/4/2026 11:59:59.9 AM", "3/4/2026 12:00:00.0 PM"),
+        *("3/4/2026 12:00:00.1 PM", "3/4/2026 12:00:00.2 PM"),
+    ],
+}
+
+
+def clocked(times: list[str]) -> str:
+    rows = zip(times, ROWS, strict=True)
+    return "".join(f"{time};{f};{1e3 * d}\n" for time, (_, f, d) in rows)
+
+
+#: Text of each kind of table that says by itself what is what.
+STATED = {
+    "headings": NEWTONS + PLAIN,
+    "headings with low lines": "time_s,force_N,depth_mm\n" + PLAIN,
+    "headings of a compression": "Time [s],Compression [mm],Load [N]\n"
+    + "".join(f"{t:.1f},{1e3 * d:.4f},{f:.4f}\n" for t, f, d in ROWS),
+    "German headings": "Prüfzeit [s];Standardkraft [N];Standardweg [mm]\n" + GERMAN,
+    "German units in words": "Nr;Prüfzeit in s;Standardkraft in N;Verformung in mm\n"
+    + comma("".join(f"1;{t};{f};{1e3 * d}\n" for t, f, d in ROWS)),
+    "capitals": "TIME(S),LOAD(N),DEPTH(MM)\n" + PLAIN,
+    "preamble": PREAMBLE + NEWTONS + PLAIN,
+    "preamble of cells": '"Operator","Smith"\n"Width","50","mm"\n\n' + NEWTONS + PLAIN,
+    "preamble with inches": 'Anvil 2" steel\n' + NEWTONS + PLAIN,
+    "results before the rows": ',"Maximum Load","Extension"\n,(N),(mm)\n1,12.3,4.5\n\n'
+    + "Time,Load,Extension\n(s),(N),(mm)\n" + PLAIN,
+    "units row": "Time,Load,Depth\ns,N,mm\n" + PLAIN,
+    "units row in brackets": PREAMBLE + "Time;Load;Depth\n(s);(N);(mm)\n" + GERMAN,
+    "quoted": '"Time (s)","Load, raw (N)","Depth (mm)"\n' + lines('"{:.3f}","{:.4f}","{:.4f}"'),
+    "semicolon": SEMICOLONS + PLAIN.replace(",", ";"),
+    "semicolon, decimal commas": SEMICOLONS + GERMAN,
+    "tab": NEWTONS.replace(",", "\t") + PLAIN.replace(",", "\t"),
+    "tab, decimal commas": NEWTONS.replace(",", "\t") + GERMAN.replace(";", "\t"),
+    "blanks": "time_s force_N depth_mm\n" + PLAIN.replace(",", "   "),
+    "blanks, decimal commas": "time_s force_N depth_mm\n" + GERMAN.replace(";", " "),
+    "bars": NEWTONS.replace(",", "|") + PLAIN.replace(",", "|"),
+    "commas quoted": NEWTONS + comma(lines('"{:.3f}";"{:.4f}";"{:.4f}"')).replace(";", ","),
+    "commas quoted below a preamble": PREAMBLE + '"Time (s)","Load (N)","Depth (mm)"\n'
+    + comma(lines('"{:.1f}";"{:.2f}";"{:.3f}"')).replace(";", ","),
+    "commas not quoted": "time_s,force_N,depth_mm\n" + GERMAN.replace(";", ","),
+    "commas not quoted, four columns": "time_s,force_N,depth_mm,temperature_C\n"
+    + comma(lines("{:.3f};{:.4f};{:.4f};21.5")).replace(";", ","),
+    "thousands, quoted": NEWTONS + lines('{:.3f},"{:,.4f}",{:.4f}'),
+    "thousands, points": SEMICOLONS
+    + lines("{:.3f};{:,.4f};{:.4f}").translate(str.maketrans(",.", ".,")),
+    "thousands, blanks": SEMICOLONS
+    + lines("{:.3f};{:_.4f};{:.4f}").replace("_", " ").replace(".", ","),
+    "thousands, apostrophes": SEMICOLONS + lines("{:.3f};{:_.4f};{:.4f}").replace("_", "'"),
+    "comment": "# made by hand\n" + NEWTONS + "# begins\n" + PLAIN,
+    "headings in a comment": "# run 7\n# time_s,force_N,depth_mm\n" + PLAIN,
+    "trailing commas": NEWTONS.strip() + ",,\n" + PLAIN.replace("\n", ",,\n"),
+    "trailing columns": NEWTONS + PLAIN.replace("\n", ",x,7,end of line\n"),
+    "other columns": "No,Load rate (N/s),Time (s),Load (N),Depth (mm),Load cell temperature (C)\n"
+    + lines("1,5,{:.3f},{:.4f},{:.4f},21.5"),
+    "sparse": "__time,/force/wrench/force/z,/probe/pose/position/z\n"
+    + "".join(f"{t},{f},\n{t},,{d}\n" for t, f, d in ROWS),
+    "sparse by instrument": NEWTONS
+    + "".join(f"{t},NaN,{1e3 * d}\n{t},{f},NaN\n" for t, f, d in ROWS),
+    "echo of a topic": "%time,field.wrench.force.z,field.pose.position.z\n"
+    + "".join(f"{1700000000000000000 + int(1e9 * t)},{f},{d}\n" for t, f, d in ROWS),
+    "robot's recorder": "timestamp actual_TCP_pose_2 actual_TCP_force_2\n"
+    + "".join(f"{t} {-d} {f}\n" for t, f, d in ROWS),
+    "measured beside desired": "time_s,force_N,press_desired_mm,press_actual_mm\n"
+    + "".join(f"{t},{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "measured beside another direction": "time_s,force_N,press_desired_mm,press_actual_mm,x_mm\n"
+    + "".join(f"{t},{f},9,{1e3 * d},9\n" for t, f, d in ROWS),
+    "measured force beside others": "time_s,force_cmd_N,force_meas_N,force_N,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "commanded force": "Time (s),Target load (N),Load (N),Depth (mm)\n"
+    + "".join(f"{t},9,{f},{1e3 * d}\n" for t, f, d in ROWS),
+    "set and reference": "time_s,force_set_N,force_N,depth_ref_mm,depth_mm\n"
+    + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "Soll and Ist": "Zeit [s];Sollkraft [N];Istkraft [N];Sollweg [mm];Istweg [mm]\n"
+    + comma("".join(f"{t};9;{f};9;{1e3 * d}\n" for t, f, d in ROWS)),
+}  # fmt: skip
+
+MICRO = "Zeit (s);Kraft (N);Weg (µm)\n" + comma(lines("{:.3f};{:.4f};{:.4f}", displacement=1e6))
+ENCODINGS = ("utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1", "cp1252")
+REPEATED = PREAMBLE + "Load (N),Load (N),t\n" + lines("9,{1:.4f},{0:.3f},{2:.4f}")
+STRESSES = comma(lines("{};{};{}", force=1e-3, displacement=1e2))
+
+
+def asked(headings: str, *words: str) -> Table:
+    """Return a table whose headings do not say what is what: the candidates are listed."""
+    text = f"{headings}\n0.0,1.0,2.0,3.0\n0.1,1.5,2.5,3.5\n"
+    return Table(text, refused=(*words, "--columns"))
+
+
+TABLES: dict[str, Table] = {
+    **{name: Table(text) for name, text in STATED.items()},
+    **{
+        f"{names}, {kind}": Table(of_units(spelling, names, *factors))
+        for names, factors in UNITS.items()
+        for kind, spelling in (("brackets", " ({})"), ("low lines", "_{}"), ("row", ""))
+    },
+    **{
+        name: Table("Time of day;Load (N);Depth (mm)\n" + clocked(times))
+        for name, times in CLOCKS.items()
+    },
+    **{name: Table(MICRO.encode(name)) for name in ENCODINGS},
+    "gzip": Table(gzip.compress(MICRO.encode("utf-16")), file="press.csv.gz"),
+    "gzip of another name": Table(gzip.compress(PLAIN.encode()), "1,2,3*1e-3", "press.txt.gz"),
+    "a name without an ending": Table(MICRO.encode("latin-1"), file="press"),
+    # Cells without a number
+    "footer": Table(NEWTONS + PLAIN + "\nend of test\n", skipped=1),
+    "footer of a clock": Table(
+        "Time of day;Load (N);Depth (mm)\n" + clocked(CLOCKS["times of day"]) + "Operator;A;B\n",
+        skipped=1,
+    ),
+    "blank cells and words": Table(
+        "Time (s),Load (N),Load 2 (N),Depth (mm)\n"
+        + lines("{:.3f},{:.4f},off,{:.4f}") + "9,,off,3\n,5,off,3\n",
+        skipped=2,
+    ),
+    "not a number": Table(NEWTONS + PLAIN + "9,NaN,3\n9.1,5,nan\n", skipped=2),
+    # Columns that are given, below any preamble
+    "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),
+    "names with units": Table(PREAMBLE + NEWTONS + PLAIN, "Time (s),Load (N),Depth (mm)"),
+    "numbers": Table(PREAMBLE + NEWTONS + PLAIN, "1,2,3"),
+    "numbers without headings": Table(PREAMBLE + PLAIN, "1,2,3*1e-3"),
+    "numbers of rows alone": Table(GERMAN, "1,2,3*1e-3"),
+    "powers of ten": Table(comma(lines("{:.3f}\t{:.5e}\t{:.5e}")), "1,2,3*1e-3"),
+    "a heading twice": Table(REPEATED, "3,2,4*1e-3"),
+    "a heading with a comma": Table('t,"Load, raw [N]",Depth\n' + PLAIN,
+                                    't,"Load, raw [N]",Depth*1e-3'),
+    "rows at a rate": Table("t;f;d\n" + GERMAN, "@10,f,d*1e-3"),
+    "stress and strain": Table("Time (s);Stress (kPa);Strain (%)\n" + STRESSES, "1,2,3"),
+    "one of several": Table(STATED["commanded force"], "1,3,Depth (mm)"),
+    # What stays ambiguous is asked for, with the candidates
+    "two forces": asked(
+        "Time (s),Load A (N),Load B (N),Depth (mm)", "the force: Load A (N), Load B (N)"
+    ),
+    "two forces of one name": asked("Time (s),Load (N),Load (N),Depth (mm)", "the force: 2, 3"),
+    "two ways": asked(
+        "Time (s),Load (N),Stroke (mm),Depth (mm)", "displacement: Stroke (mm), Depth (mm)"
+    ),
+    "the measured without a unit": asked(
+        "time_s,force_N,press_actual,x_mm", "the displacement: press_actual (no unit stated), x_mm"
+        "; name the columns, such as --columns 'time_s,force_N,press_actual*0.001'",
+    ),
+    "a word without a unit": asked("time_s,force_N,depth,x_mm", "depth (no unit stated), x_mm"),
+    "the measured force without a unit": asked(
+        "time_s,force_desired_N,force,depth_mm", "the force: force (no unit stated), force_des"
+    ),
+    "two sensors": asked(
+        "time_s,ft1_force_N,ft2_force_N,z_mm", "the force: ft1_force_N, ft2_force_N"
+    ),
+    "no unit of the way": asked(
+        "Time (s),Load (N),Depth,Width", "which column is the displacement:"
+    ),
+    "letters": asked("a,b,c,d", "it has a, b, c, d"),
+    "no units": asked("t,f,z", "do not say"),
+    "no way": asked("time_s,force_N,temperature_K", "do not say"),
+    # What cannot be read
+    "commas beside commas": Table(
+        "time_s,force_N,depth_mm\n0,0,5,1\n1,0,5,1,5\n", refused=("decimal commas",)
+    ),
+    "a workbook": Table(b"PK\x03\x04\0\0", file="press.xlsx", refused=("sheet as CSV",)),
+    "a picture": Table(b"\x89PNG\0\0\0\1\0abc", refused=("it is no text",)),
+    "a broken gzip": Table(
+        b"time_s,force_N", file="press.csv.gz", refused=("it is no complete gzip file",)
+    ),
+    "nothing": Table("", refused=("is empty",)),
+    "no such column": Table("time,force,depth\n0,1,2\n", "time,force,mm",
+                            refused=("no column mm: it has time, force, depth",)),
+}  # fmt: skip
+
+
+# Bags
+
+
+START = 1_700_000_000_000_000_000
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+SCHEMA = """
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+    serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+    timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+"""
+
+Messages = list[RawMessage]
+Make = Callable[[Path, Messages], Path]
+
+
+def header(time_ns: int) -> Header:
+    made = Header(frame_id="probe")
+    made.stamp.sec, made.stamp.nanosec = divmod(time_ns, 10**9)
+    return made
+
+
+def small(count: int = 120, stamp: Callable[[int], int] = lambda time_ns: time_ns) -> Messages:
+    """Return messages of a force and a joint, each 10 ms apart."""
+    made = []
+    for k in range(count):
+        time_ns = START + k * 10_000_000
+        force = WrenchStamped(header=header(stamp(time_ns)))
+        force.wrench.force.z = 0.1 * max(0, k - 40)
+        joints = JointState(header=header(time_ns), name=["probe"], position=[1e-4 * k])
+        for topic, message in (("/force", force), ("/joints", joints)):
+            package = type(message).__module__.split(".")[0]
+            kind = f"{package}/msg/{type(message).__name__}"
+            made.append(RawMessage(topic, kind, time_ns, serialize(message)))
+    return made
+
+
+def ros2(
+    folder: Path,
+    messages: Messages,
+    mode: CompressionMode = CompressionMode.NONE,
+    plugin: StoragePlugin = StoragePlugin.SQLITE3,
+) -> Path:
+    writer = Ros2Writer(folder, version=8, storage_plugin=plugin)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topics = {}
+        for topic, kind, time_ns, data in messages:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=ROS2)
+            writer.write(topics[topic], time_ns, data)
+    return folder
+
+
+def ros1(
+    path: Path, messages: Messages, packing: Ros1Writer.CompressionFormat | None = None
+) -> Path:
+    writer = Ros1Writer(path)
+    if packing is not None:
+        writer.set_compression(packing)
+    with writer:
+        topics = {}
+        for topic, kind, time_ns, data in messages:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            writer.write(topics[topic], time_ns, ROS2.cdr_to_ros1(data, kind))
+    return path
+
+
+def alone(folder: Path) -> Path:
+    """Return the one file of a bag, elsewhere."""
+    (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    return Path(shutil.move(file, folder.parent / file.name))
+
+
+def without_metadata(folder: Path) -> Path:
+    (folder / "metadata.yaml").unlink()
+    return folder
+
+
+def broken_metadata(folder: Path) -> Path:
+    (folder / "metadata.yaml").write_text("{")
+    return folder
+
+
+def foxy(path: Path, messages: Messages, left_in_log: int = 0) -> Path:
+    """Write a sqlite3 file without definitions; the last messages stay in its log."""
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA wal_autocheckpoint = 0")
+    database.executescript(SCHEMA)
+    names = {message.topic: message.type_name for message in messages}
+    numbers = {topic: number for number, topic in enumerate(names, start=1)}
+    for topic, kind in names.items():
+        row = (numbers[topic], topic, kind, "cdr", "")
+        database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
+    split = len(messages) - left_in_log
+    for start, end in ((0, split), (split, len(messages))):
+        rows = [(numbers[m.topic], m.log_time_ns, m.data) for m in messages[start:end]]
+        database.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows
+        )
+        database.commit()
+        if start == 0:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    if left_in_log:
+        # As the files lie after a power cut: the writer never closes these.
+        folder = path.parent / "cut"
+        folder.mkdir()
+        for suffix in ("", "-wal"):
+            shutil.copy(f"{path}{suffix}", folder)
+        path = folder / path.name
+    database.close()
+    return path
+
+
+def packed(path: Path, pack: Callable[[bytes], bytes], suffix: str) -> Path:
+    made = path.with_name(path.name + suffix)
+    made.write_bytes(pack(path.read_bytes()))
+    path.unlink()
+    return made
+
+
+def halves(folder: Path, messages: Messages, write: Callable[[Path, Messages], Path]) -> Path:
+    folder.mkdir()
+    middle = len(messages) // 2
+    for number, part in enumerate((messages[:middle], messages[middle:])):
+        write(folder / f"part_{number}", part)
+    return folder
+
+
+def cut(path: Path, part: float) -> Path:
+    content = path.read_bytes()
+    path.write_bytes(content[: int(part * len(content))])
+    return path
+
+
+def unindexed(path: Path) -> Path:
+    """Return a ROS 1 bag as it is while it is recorded: its header points to no index."""
+    content = path.read_bytes()
+    place = content.index(b"index_pos=") + len(b"index_pos=")
+    path.write_bytes(content[:place] + bytes(8) + content[place + 8 :])
+    return path
+
+
+def other_database(path: Path) -> Path:
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE results (name)")
+    database.commit()
+    database.close()
+    return path
+
+
+def packed_otherwise(folder: Path) -> Path:
+    path = folder / "metadata.yaml"
+    path.write_text(path.read_text().replace("zstd", "brotli"))
+    return folder
+
+
+def holding(path: Path, text: str | None) -> Path:
+    """Return a file with a text, or an empty folder."""
+    if text is None:
+        path.mkdir()
+    else:
+        path.write_text(text)
+    return path
+
+
+class Bag(NamedTuple):
+    """What makes a bag of messages, and what is expected of it."""
+
+    make: Make
+    warned: str = ""  #: a part of its warning
+    refused: str = ""  #: words of the one line that says why; "": it is read
+
+
+MCAP = StoragePlugin.MCAP
+BY_FILE, BY_MESSAGE = CompressionMode.FILE, CompressionMode.MESSAGE
+BZ2, LZ4 = Ros1Writer.CompressionFormat.BZ2, Ros1Writer.CompressionFormat.LZ4
+NO_METADATA, LEFT = "metadata", "interrupted recording): used too"
+
+BAGS: dict[str, Bag] = {
+    "sqlite3": Bag(lambda at, m: ros2(at / "bag", m)),
+    "sqlite3 file": Bag(lambda at, m: alone(ros2(at / "bag", m))),
+    "sqlite3 without metadata": Bag(
+        lambda at, m: without_metadata(ros2(at / "bag", m)), NO_METADATA
+    ),
+    "sqlite3 split": Bag(
+        lambda at, m: halves(at / "bag", m, lambda p, part: foxy(p.with_suffix(".db3"), part)),
+        NO_METADATA,
+    ),
+    "sqlite3 of Foxy": Bag(lambda at, m: foxy(at / "old.db3", m)),
+    "sqlite3 interrupted": Bag(lambda at, m: foxy(at / "old.db3", m, left_in_log=100), LEFT),
+    "sqlite3 by file": Bag(lambda at, m: ros2(at / "bag", m, BY_FILE)),
+    "sqlite3 by file, without metadata": Bag(
+        lambda at, m: without_metadata(ros2(at / "bag", m, BY_FILE)), NO_METADATA
+    ),
+    "sqlite3 by file, alone": Bag(lambda at, m: alone(ros2(at / "bag", m, BY_FILE))),
+    "sqlite3 by message": Bag(lambda at, m: ros2(at / "bag", m, BY_MESSAGE)),
+    "sqlite3 by message, alone": Bag(lambda at, m: alone(ros2(at / "bag", m, BY_MESSAGE))),
+    "MCAP": Bag(lambda at, m: ros2(at / "bag", m, plugin=MCAP)),
+    "MCAP without metadata": Bag(
+        lambda at, m: without_metadata(ros2(at / "bag", m, plugin=MCAP)), NO_METADATA
+    ),
+    "MCAP with broken metadata": Bag(
+        lambda at, m: broken_metadata(ros2(at / "bag", m, plugin=MCAP)), NO_METADATA
+    ),
+    "MCAP by file": Bag(lambda at, m: ros2(at / "bag", m, BY_FILE, MCAP)),
+    "MCAP by message": Bag(lambda at, m: ros2(at / "bag", m, BY_MESSAGE, MCAP)),
+    "MCAP by message, alone": Bag(lambda at, m: alone(ros2(at / "bag", m, BY_MESSAGE, MCAP))),
+    "MCAP in lz4": Bag(
+        lambda at, m: packed(alone(ros2(at / "bag", m, plugin=MCAP)), lz4.frame.compress, ".lz4")
+    ),
+    "ROS 1": Bag(lambda at, m: ros1(at / "old.bag", m)),
+    "ROS 1 in bz2": Bag(lambda at, m: ros1(at / "old.bag", m, BZ2)),
+    "ROS 1 in lz4": Bag(lambda at, m: ros1(at / "old.bag", m, LZ4)),
+    "ROS 1 by file": Bag(
+        lambda at, m: packed(ros1(at / "old.bag", m), zstandard.compress, ".zst")
+    ),
+    "ROS 1 split": Bag(
+        lambda at, m: halves(at / "bag", m, lambda p, part: ros1(p.with_suffix(".bag"), part)),
+        NO_METADATA,
+    ),
+    # What cannot be used
+    "sqlite3 cut off": Bag(
+        lambda at, m: cut(alone(ros2(at / "bag", m)), 0.1), refused="is damaged"
+    ),
+    "sqlite3 of another program": Bag(
+        lambda at, m: other_database(at / "a.db3"), refused="is damaged"
+    ),
+    "sqlite3 of a few bytes": Bag(
+        lambda at, m: cut(foxy(at / "a.db3", m), 1e-4), refused="cut off before"
+    ),
+    "ROS 1 cut off": Bag(lambda at, m: cut(ros1(at / "a.bag", m), 0.5), refused="is damaged"),
+    "ROS 1 not closed": Bag(
+        lambda at, m: unindexed(ros1(at / "a.bag", m)), refused="rosbag reindex"
+    ),
+    "messages in brotli": Bag(
+        lambda at, m: packed_otherwise(ros2(at / "bag", m, BY_MESSAGE)),
+        refused="compressed by brotli: expected zstd",
+    ),
+    "nothing in zstd": Bag(
+        lambda at, m: packed(cut(foxy(at / "a.db3", m), 0.0), zstandard.compress, ".zstd"),
+        refused="is empty: give a bag folder, or an .mcap, .db3 or .bag file",
+    ),
+    "nothing there": Bag(lambda at, m: at / "nowhere", refused="does not exist"),
+    "a folder without a bag": Bag(
+        lambda at, m: holding(at / "folder", None), refused="holds no bag"
+    ),
+    "an empty MCAP": Bag(lambda at, m: holding(at / "a.mcap", ""), refused="is empty"),
+    "a text as MCAP": Bag(lambda at, m: holding(at / "a.mcap", "time,f\n"), refused="is no bag"),
+}
+
+
+def bag_of(kind: str, folder: Path, messages: Messages) -> Path:
+    """Return messages as a bag of a kind."""
+    return BAGS[kind].make(folder, messages)
+
+
+#: Header stamps of the force by time of recording, and what is said of them.
+STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
+    "zero": (lambda time_ns: 0, "all header stamps of /force are 0"),
+    "still": (lambda time_ns: START, "all header stamps of /force are the same"),
+    "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
+    "ahead": (lambda time_ns: time_ns + 3_000_000_000, "are -3 s before its times of recording"),
+}
