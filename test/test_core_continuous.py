@@ -27,7 +27,7 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
+from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Prior
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation import palpated as told_by
 from fden_ros.parameters import check, pipeline_config
@@ -182,9 +182,8 @@ def test_neither_g_nor_gn_is_claimed_of_another_law_and_nothing_is_converged():
 def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_variances():
     value, sd = 400.0 * np.exp(0.5j * math.pi * 0.3), 20.0
     prior = replace(Prior(), fractional_order=0.1, fractional_order_sd=0.05)
-    found = told_by(
-        Stiffness(value, sd**2 * np.eye(2)), 9.0, 1e-3, 0.1, EstimatorConfig(prior), 99
-    )
+    config = EstimatorConfig(prior, uncertainty=NOTHING_UNKNOWN)
+    found = told_by(Stiffness(value, sd**2 * np.eye(2)), 9.0, 1e-3, 0.1, config, 99)
     assert found is not None
     own = (2.0 / math.pi * sd / 400.0) ** 2
     order = (0.3 / own + 0.1 / 0.05**2) / (1.0 / own + 1.0 / 0.05**2)

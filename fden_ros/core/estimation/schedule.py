@@ -10,8 +10,8 @@ from fden_ros.core.estimation.search import Care
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY, ORDER
 
 #: It is solved anew when the time since the touch, or the largest compression, has grown by these
-#: factors [1], some 15 times a contact; between two the filter is off by half a deviation.
-_TIME_RATIO, _DEPTH_RATIO = 1.5, 1.25
+#: factors [1], some 20 times a contact; between two the filter is off by half a deviation.
+_TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: A long delay is told anew where its standard deviation has fallen to this part [1].
 _TOLD = 0.5
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
