@@ -155,7 +155,8 @@ class PressPosterior:
             return False
         is_asked = self._watch.is_asked or self._is_surprised or self.best.has_turned
         is_solved = all(one.is_solved for one in self.likely)
-        return is_asked or not is_solved or self._schedule.is_delay_open(self.best)
+        is_overdue = self._schedule.is_overdue(self._elapsed, self.record.max_compression)
+        return is_asked or is_overdue or not is_solved or self._schedule.is_delay_open(self.best)
 
     # Samples
 
