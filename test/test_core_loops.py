@@ -354,7 +354,7 @@ def test_a_filter_comes_to_what_all_measurements_say_at_once():
     rows, errors, _ = walked_rows()
     random, free = np.random.default_rng(3), np.array([1.0, 0.0, 1.0])
     observed, predicted = rows[:, :2].T.copy()
-    linear = loops.Linear(observed, predicted, random.normal(size=3), free, rows[:, 2:].copy())
+    linear = loops.Followed(observed, predicted, random.normal(size=3), free, rows[:, 2:].copy())
     root = random.normal(size=(5, 5))
     before, prior = random.normal(size=5), root @ root.T
     mean, covariance, log_likelihood = before.copy(), prior.copy(), 0.0
@@ -378,7 +378,7 @@ def test_a_filter_comes_to_what_all_measurements_say_at_once():
 
 def test_a_filter_without_a_finite_prediction_is_refused():
     _, errors, _ = walked_rows()
-    linear = loops.Linear(
+    linear = loops.Followed(
         np.full(60, np.nan), np.zeros(60), np.zeros(3), np.ones(3), np.zeros((60, 3))
     )
     with pytest.raises(FloatingPointError, match="not finite"):

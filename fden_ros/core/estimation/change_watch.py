@@ -16,6 +16,7 @@ from functools import partial
 from typing import NamedTuple
 
 from fden_ros.core.estimation.hypothesis import Hypothesis
+from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.maxima import Solutions
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE
@@ -29,21 +30,13 @@ from fden_ros.core.estimation.proposals.change import (
     Look,
     Placing,
 )
-from fden_ros.core.estimation.record import Block, Record
+from fden_ros.core.estimation.record import Block
 from fden_ros.core.estimation.unknowns import Unknown
 
 #: A look has this much more work than a solution, since it has to tell within 0.1 s [1].
 _HASTE = 20.0
 #: A change is placed anew once it was seen for this time [s].
 _PLACED_AFTER = 0.1
-
-
-class Pressed(NamedTuple):
-    """What a press has come to."""
-
-    record: Record
-    deepest: float  #: largest compression [1]
-    compression_sd: float  #: of a sample [1]
 
 
 class Found(NamedTuple):
@@ -116,15 +109,15 @@ class ChangeWatch:
         """Ask no more."""
         self._suspected_at = None
 
-    def begin_look(self, best: Hypothesis, pressed: Pressed, now: float) -> bool:
+    def begin_look(self, best: Hypothesis, intake: Intake) -> bool:
         """Begin to look whether the tissue has changed; return whether that can be done."""
         if best.solved is None or self._to_place is not None:
             return False
-        self._looked_at = now
+        self._looked_at = intake.now
         origin = best.setting.origin(best.solved.best.mean)
-        points = best.points(pressed.record.points())
-        deepest = best.deepest(pressed.deepest)
-        made = partial(best.setting.posterior_with, best.events, pressed.compression_sd, deepest)
+        points = best.points(intake.record.points())
+        deepest = best.deepest(intake.deepest)
+        made = partial(best.setting.posterior_with, best.events, intake.compression_sd, deepest)
         strain = best.setting.largest_strain(deepest, origin)
         look = ChangeLook(points, best.solved.solutions.maxima, made(), made, strain)
         self._look = _Looking(best, Advanced(look.in_parts), float(points.times[-1]), [])
@@ -138,16 +131,16 @@ class ChangeWatch:
         assert change.since is not None
         return now - change.since >= _PLACED_AFTER
 
-    def begin_placing(self, best: Hypothesis, pressed: Pressed) -> None:
+    def begin_placing(self, best: Hypothesis, intake: Intake) -> None:
         """Begin to place the newest change anew, where the likeliest hypothesis has it."""
         change, self._to_place = self._to_place, None
         if change is None or change not in best.events or best.solved is None:
             return
         rest = tuple(event for event in best.events if event is not change)
-        sizes = pressed.compression_sd, best.deepest(pressed.deepest)
+        sizes = intake.compression_sd, best.deepest(intake.deepest)
         made = best.setting.posterior_with(best.events, *sizes)
         placing = Placing(
-            best.points(pressed.record.points()),
+            best.points(intake.record.points()),
             best.solved.grown(best.solved.best, made),
             best.solved.best,
             partial(best.setting.posterior_with, rest, *sizes),

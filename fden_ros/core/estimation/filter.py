@@ -129,10 +129,10 @@ class PressFilter:
         found = self._model.evaluate(points, self._about, self._response)
         errors = self._error_model.errors(points, self._about, found, self._loading)
         self._loading = errors.loading
-        linear = loops.Linear(
+        blocks = loops.Followed(
             points.stresses, found.stress, self._about, self._free, found.jacobian
         )
         scales = self._scales.roughness, self._scales.motion
         # What was given out stays as it was.
         self.x, self.P = self.x.copy(), self.P.copy()
-        return Update(*loops.follow(linear, errors.rows, *scales, self.x, self.P))
+        return Update(*loops.follow(blocks, errors.rows, *scales, self.x, self.P))

@@ -33,6 +33,8 @@ class Intake:
         Time of the touch [s].
     compression_sd : float
         Standard deviation of a sample's compression [1]; 0: not known yet.
+    path_variance : float
+        Of the compression per sample, times the time between samples [s].
     way : ndarray, shape (3, n), optional
         Of the probe before the touch: times from it [s], compressions [1] and stresses [Pa].
 
@@ -51,6 +53,7 @@ class Intake:
         settings: Sequence[PressSetting],
         start: float,
         compression_sd: float = 0.0,
+        path_variance: float = 0.0,
         way: Array | None = None,
     ) -> None:
         is_one_sided = settings[0].geometry.is_one_sided
@@ -61,18 +64,20 @@ class Intake:
         if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd, self.now = -math.inf, compression_sd, start
+        self._path_variance, self._steps, self._stepped = path_variance, 0, 0.0
         # Samples whose motion may not have come yet.
         self._held: deque[tuple[Sample, bool]] = deque()
         self._samples: list[Sample] = []
         self._is_pressed = False
 
-    def take(
-        self, sample: Sample, compression_sd: float, lateness: float, *, is_free: bool
-    ) -> None:
-        """Take a sample, whose motion comes at most `lateness` seconds later."""
-        if compression_sd:
-            self.compression_sd = compression_sd
-            self.record.noise_sd = self.record.noise_sd or compression_sd
+    def take(self, sample: Sample, step: float, lateness: float, *, is_free: bool) -> None:
+        """Take a sample, `step` seconds after the last; its motion may be `lateness` late [s]."""
+        self._steps += step > 0.0
+        self._stepped += max(step, 0.0)
+        if self._path_variance and self._steps:
+            # By the mean step: the last alone may be short.
+            own = math.sqrt(self._path_variance * self._steps / self._stepped)
+            self.compression_sd, self.record.noise_sd = own, self.record.noise_sd or own
         if not lateness and not self._held:
             self._take(sample, is_free=is_free)
             return

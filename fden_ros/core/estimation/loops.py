@@ -261,7 +261,7 @@ def equations(
     return products, found
 
 
-class Linear(NamedTuple):
+class Followed(NamedTuple):
     """Blocks of stress that are linear about a state, (blocks,) and (blocks, n)."""
 
     observed: Array  #: [Pa]
@@ -272,20 +272,21 @@ class Linear(NamedTuple):
 
 
 def follow(
-    linear: Linear, errors: Array, roughness: float, motion: float, mean: Array, covariance: Array
+    blocks: Followed,
+    errors: Array,
+    roughness: float,
+    motion: float,
+    mean: Array,
+    covariance: Array,
 ) -> tuple[float, float, float, float]:
-    r"""Bring mean and covariance, of the unknowns and two walks, through blocks, in place.
+    """Bring mean and covariance, of the unknowns and two walks, through blocks, in place.
 
-    An extended Kalman filter: with H the row of a block, 1 for the stress's walk and the gain for
-    the surface's, and what the walks gain before it in Q,
-
-    .. math::
-        P \leftarrow P + Q, \quad y = z - h(x), \quad S = H P H^T + R, \quad
-        K = P H^T S^{-1}, \quad x \leftarrow x + K y, \quad P \leftarrow P - K S K^T .
+    An extended Kalman filter: see :mod:`fden_ros.core.estimation.filter`. Each block has 1 as its
+    derivative by the stress's walk, and the gain by the surface's; `errors` says what they gain.
 
     Parameters
     ----------
-    linear : Linear
+    blocks : Followed
     errors, roughness, motion
         As :func:`whiten` takes them.
     mean : ndarray, shape (n + 2,)
@@ -306,7 +307,7 @@ def follow(
         If a prediction is not finite.
     """
     found = np.empty(4)
-    if not _compiled.follow(errors, roughness, motion, *linear, mean, covariance, found):
+    if not _compiled.follow(errors, roughness, motion, *blocks, mean, covariance, found):
         raise FloatingPointError("the prediction of the stress is not finite")
     prediction, innovation, variance, log_likelihood = found.tolist()
     return prediction, innovation, variance, log_likelihood

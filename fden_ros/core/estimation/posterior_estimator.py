@@ -24,6 +24,7 @@ from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
+from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.mixture import moments
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_model import FreeSurface
@@ -96,7 +97,6 @@ class PosteriorEstimator(Estimator):
         self._path_variance = path_variance
         self._time = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
-        self._steps, self._stepped = 0, 0.0  # of the press [1, s]
         self._moments_at = self._stress_before = 0.0
 
     def may_be_of(self, other: PosteriorEstimator, shift: float, log_wider: float) -> None:
@@ -220,8 +220,9 @@ class PosteriorEstimator(Estimator):
                 frozen = copy.deepcopy(past.memory)
                 setting = replace(setting, free=FreeSurface(frozen, self._time))
             hypotheses.append(Hypothesis(past, setting))
-        self.press = PressPosterior(hypotheses, self._time, self._compression_sd, way)
-        self._steps, self._stepped = 0, 0.0
+        settings = [one.setting for one in hypotheses]
+        known = self._compression_sd, self._path_variance
+        self.press = PressPosterior(hypotheses, Intake(settings, self._time, *known, way))
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
@@ -230,11 +231,7 @@ class PosteriorEstimator(Estimator):
         """
         assert self.press is not None
         self._time += step
-        self._steps += step > 0.0
-        self._stepped += max(step, 0.0)
-        # By the mean step: the last alone may be short.
-        sd = math.sqrt(self._path_variance * self._steps / self._stepped) if self._steps else 0.0
-        self.press.take(Sample(self._time, compression, stress), sd, is_free=is_free)
+        self.press.take(Sample(self._time, compression, stress), step, is_free=is_free)
 
     def put_away(self) -> None:
         """Keep of the last contact what the next one goes on from."""

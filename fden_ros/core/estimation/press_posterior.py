@@ -15,8 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, Pressed, with_event
+from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
@@ -58,12 +57,8 @@ class PressPosterior:
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-    start : float
-        Time of the touch [s].
-    compression_sd : float
-        Standard deviation of a sample's compression [1]; 0: not known yet.
-    way : ndarray, shape (3, n), optional
-        Of the probe before the touch: times from it [s], compressions [1] and stresses [Pa].
+    intake : Intake
+        Of its samples, of which none has come.
 
     Attributes
     ----------
@@ -78,21 +73,13 @@ class PressPosterior:
         ended.
     """
 
-    def __init__(
-        self,
-        hypotheses: Sequence[Hypothesis],
-        start: float,
-        compression_sd: float = 0.0,
-        way: Array | None = None,
-    ) -> None:
-        self.hypotheses, self._start = list(hypotheses), start
+    def __init__(self, hypotheses: Sequence[Hypothesis], intake: Intake) -> None:
+        self.hypotheses, self._intake = list(hypotheses), intake
         self.weigh()
-        settings = [one.setting for one in hypotheses]
-        self._intake = Intake(settings, start, compression_sd, way)
         self._watch = ChangeWatch()
         self._is_surprised = False
         self.begun_at = self.solved_at = 0
-        self._last = self._worked_at = start
+        self._start = self._last = self._worked_at = intake.now
         self._schedule = Schedule()
         self._begun: _Begun | None = None
 
@@ -160,9 +147,9 @@ class PressPosterior:
 
     # Samples
 
-    def take(self, sample: Sample, compression_sd: float, *, is_free: bool) -> None:
-        """Take a sample whose compression has a standard deviation [1]."""
-        self._intake.take(sample, compression_sd, self._lateness(), is_free=is_free)
+    def take(self, sample: Sample, step: float, *, is_free: bool) -> None:
+        """Take a sample, `step` seconds after the last."""
+        self._intake.take(sample, step, self._lateness(), is_free=is_free)
 
     def _lateness(self) -> float:
         """Return how late the displacement may be [s], as far as is known by now."""
@@ -202,7 +189,7 @@ class PressPosterior:
             self._look(now)
         elif self._begun is None and not is_past and self._is_due:
             if self._watch.is_placing_due(now):
-                self._watch.begin_placing(self.best, self._pressed)
+                self._watch.begin_placing(self.best, self._intake)
             else:
                 self.begin_solution()
         self.work(now - self._worked_at)
@@ -312,15 +299,9 @@ class PressPosterior:
 
     # Changes of the tissue
 
-    @property
-    def _pressed(self) -> Pressed:
-        return Pressed(self.record, self.deepest, self.compression_sd)
-
     def _look(self, now: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
-        if not self._watch.is_look_due(now) or self._watch.begin_look(
-            self.best, self._pressed, now
-        ):
+        if not self._watch.is_look_due(now) or self._watch.begin_look(self.best, self._intake):
             return
         self._watch.give_up()
         if self._begun is None:

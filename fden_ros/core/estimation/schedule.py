@@ -94,8 +94,10 @@ class Schedule:
     def _has_told_delay(self, best: Hypothesis) -> bool:
         """Whether the delay has become known since a solution about which the filter is linear."""
         delays = best.delays
-        is_open = delays is not None and self.is_delay_open(best)
-        return is_open and delays is not None and delays[1][1] < _TOLD * delays[0][1]
+        if delays is None or not self.is_delay_open(best):
+            return False
+        (_, before), (_, now) = delays
+        return now < _TOLD * before
 
 
 def _is_order_known(best: Hypothesis) -> bool:
