@@ -477,3 +477,18 @@ def test_replay_is_timed_and_its_figures_are_json(tmp_path, capsys, monkeypatch)
     figures = json.loads(capsys.readouterr().out)["figures"]
     assert set(figures["steps"]) >= {"in the air", "in contact"}
     assert figures["speed"]["palpation at 1 kHz"]["times real time"] > 0.0
+
+
+def test_stiffness_of_a_spring_and_dashpot_is_told_as_a_mismatch_in_the_hold(monkeypatch):
+    """What is published as N/m without a flag is right, or it is not published."""
+    pressed = laws.found_at
+
+    def in_the_hold(press, stress, parameters):
+        *_, lifted = press.instants
+        held = tuple(lifted - np.arange(2.0, 0.0, -0.2))
+        return pressed(press._replace(instants=held), stress, parameters)
+
+    monkeypatch.setattr(laws, "found_at", in_the_hold)
+    found = laws.run_stiffness(("kelvin_voigt", "flat punch", laws.RIGID), 0)
+    assert len(found) == 10
+    assert all(one.is_flagged or one.is_inside for one in found if one.is_known)

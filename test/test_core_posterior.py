@@ -23,6 +23,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import ParameterSet
 from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
+from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
@@ -31,7 +32,8 @@ from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
-from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.law.characteristic import phi
+from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 from fden_ros.simulation.model import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import load_scenario
@@ -277,6 +279,31 @@ def test_the_filter_is_where_the_next_solution_is(motion_noise: float) -> None:
     with pytest.raises(FloatingPointError, match="not finite"):
         lost = record.blocks([Sample(last + 0.01, 0.2, math.nan)])
         kalman.step(record.points_after(lost, last))
+
+
+@pytest.mark.parametrize("geometry", [GEOMETRY, Sphere(0.01)])
+@pytest.mark.parametrize("off", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.2, -0.2, 0.1)])
+def test_what_a_linear_model_lacks_is_what_the_law_has_beyond_first_order(
+    geometry: Geometry, off: tuple[float, float, float]
+) -> None:
+    unknowns = unknowns_of(EstimatorConfig(uncertainty=EXACT), geometry, 0.0, 0.0)
+    model = PressModel(unknowns, geometry, is_bent=False, last_knot=0.3)
+    about = np.zeros(model.size)
+    about[:3] = math.log(800.0), math.log(8.0), 0.2
+    points, age, ratio = points_of(pressed(7, 0.005)), 0.5, 1e-5
+    reach = LinearRange(model, points, about, age)
+    block = points.stresses.size - 1
+    step = np.zeros(model.size)
+    step[:3] = off
+
+    def stress(state: Array) -> float:
+        strain = geometry.strain(float(points.compressions[points.last[block]]))
+        return float(phi(np.array([strain]), *np.exp(state[:2]))[0]) * age ** -float(state[2])
+
+    first = (stress(about + ratio * step) - stress(about - ratio * step)) / (2.0 * ratio)
+    beyond = (stress(about + step) - stress(about) - first) / stress(about)
+    assert reach.lacking(block, about + step) == pytest.approx(beyond, rel=1e-4)
+    assert reach.lacking(block, about) == 0.0
 
 
 def met_at(press: Press) -> int:

@@ -173,10 +173,15 @@ class Site:
         return self.estimate if self.is_observed else None
 
     @property
+    def is_doubtful(self) -> bool:
+        """Whether the newest data are unexplained."""
+        return self._estimator is not None and self._estimator.is_doubtful
+
+    @property
     def live_estimate(self) -> Estimate | None:
         """The usable estimate, of which nothing is known while the newest data are unexplained."""
         estimate = self.usable_estimate
-        if estimate is None or self._estimator is None or not self._estimator.is_doubtful:
+        if estimate is None or not self.is_doubtful:
             return estimate
         return reserved(self._config.estimator, estimate, Reservations(is_doubtful=True))
 

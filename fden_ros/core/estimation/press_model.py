@@ -274,6 +274,17 @@ class PressModel:
         result: Array = points.compressions + own @ self._design(points).motions
         return result
 
+    def ends(self, points: Points, state: Array) -> tuple[Array, Array]:
+        """Return the compressions from the origin at the ends of blocks [1], (m,).
+
+        And their derivatives by the state, (m, size).
+        """
+        points = self.moved(points, state)
+        last = points.last
+        by_state = np.zeros((last.size, self.size))
+        by_state[:, : len(self.unknowns)] = self._design(points).motions[:, last].T
+        return self._compressions(points, state)[last], by_state
+
     def _of_unknowns(self, state: Array) -> Array:
         """Return the state without the law's errors."""
         return state[: len(self.unknowns)]

@@ -137,13 +137,14 @@ class PressPosterior:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a newest solution was not found, or the newest block is not explained."""
+        """Whether a solution was not found, or the newest block is not explained, or too far from it."""
         if self.solved is None:
             return False
         is_asked = self._watch.is_asked or self._is_surprised or self.best.has_turned
         is_solved = all(one.is_solved for one in self.likely)
-        is_overdue = self._schedule.is_overdue(self._elapsed, self.record.max_compression)
-        return is_asked or is_overdue or not is_solved or self._schedule.is_delay_open(self.best)
+        is_linear = all(one.filter.is_linear for one in self.likely if one.filter is not None)
+        is_open = self._schedule.is_delay_open(self.best)
+        return is_asked or not is_linear or not is_solved or is_open
 
     # Samples
 
@@ -248,7 +249,8 @@ class PressPosterior:
         points, elapsed = self.record.points(), self._elapsed
         if points.stresses.size < LEAST_BLOCKS or not self._schedule.can_begin:
             return
-        care = self._schedule.care(care, elapsed, self.best)
+        has_slowed = self.record.has_slowed
+        care = self._schedule.care(care, elapsed, self.best, has_slowed=has_slowed)
         epoch = Epoch(
             tuple(
                 one.search(points, elapsed, self.deepest, self.compression_sd, care)
@@ -261,7 +263,7 @@ class PressPosterior:
             elapsed,
             self.record.max_compression,
             # Or an earlier press of the site has shown it.
-            self.setting.carried is not None or self.record.has_slowed,
+            self.setting.carried is not None or has_slowed,
             Advanced(epoch.in_parts),
             [],
         )

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.search import Care
-from fden_ros.core.estimation.unknowns import LINEAR_DELAY, ORDER
+from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 
 #: It is solved anew when the time since the touch, or the largest compression, has grown by these
 #: factors [1], some 20 times a contact; between two the filter is off by half a deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: Nothing is claimed by a solution since which they have grown by these [1]: with a prior that
-#: excluded the tissue the filter claimed Gn of 22 for 9, 0.7 s after a solution.
-_OVERDUE_TIME, _OVERDUE_DEPTH = 2.5, 2.0
+#: It is asked whether the relaxation ends where the press is longer than at the last time by this
+#: factor [1].
+_ASKED_RATIO = 1.5
 #: A long delay is told anew where its standard deviation has fallen to this part [1].
 _TOLD = 0.5
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
@@ -54,15 +54,6 @@ class Schedule:
             or self._has_told_delay(best)
         )
 
-    def is_overdue(self, elapsed: float, compression: float) -> bool:
-        """Whether the newest solution is of so much less that it says nothing of what came since.
-
-        A filter that is linear about it would be too sure.
-        """
-        return elapsed > _OVERDUE_TIME * self._elapsed or (
-            compression > _OVERDUE_DEPTH * self._compression > 0.0
-        )
-
     def ask(self) -> None:
         """Let one be due: the filter is too far from the last."""
         self._elapsed, self._compression = 0.0, 1e-9
@@ -72,12 +63,17 @@ class Schedule:
         self._elapsed, self._compression = elapsed, compression
         self._shows_delay = shows_delay
 
-    def care(self, least: Care, elapsed: float, best: Hypothesis) -> Care:
-        """Return the care of a solution that begins now."""
+    def care(self, least: Care, elapsed: float, best: Hypothesis, *, has_slowed: bool) -> Care:
+        """Return the care of a solution that begins now; `has_slowed`: the motion of its record.
+
+        Whether the relaxation ends is asked once the motion has slowed, since there it relaxes,
+        and again where the press is longer by a half.
+        """
         care = Care.LAST if self.is_over else least
         if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
             care = max(care, Care.FROM_STARTS)
-        if elapsed >= 2.0 * self._asked_at and _is_order_known(best):
+        can_tell = best.solved is not None and best.setting.can_tell_mismatch and has_slowed
+        if can_tell and elapsed >= _ASKED_RATIO * self._asked_at:
             care, self._asked_at = max(care, Care.ASKED), elapsed
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self.blocks
@@ -98,11 +94,3 @@ class Schedule:
             return False
         (_, before), (_, now) = delays
         return now < _TOLD * before
-
-
-def _is_order_known(best: Hypothesis) -> bool:
-    """Whether alpha is as well known as one that has converged, so that it may be claimed."""
-    if best.solved is None or not best.setting.can_tell_mismatch:
-        return False
-    variance = float(best.solved.best.covariance[ORDER, ORDER])
-    return variance <= best.setting.config.converged_order_sd**2

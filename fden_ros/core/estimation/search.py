@@ -39,6 +39,8 @@ _STARTS = (-0.8, 0.8)
 _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
 _MOST_EVALUATIONS = 200
+#: And the question whether the relaxation ends [1].
+_MOST_OF_RIVALS = 200
 
 
 @dataclass(frozen=True)
@@ -131,15 +133,10 @@ class Search:
         FloatingPointError, OverflowError, numpy.linalg.LinAlgError
             If there is none.
         """
-        self.posterior.limit = Limit(
-            _MOST_EVALUATIONS * (EVALUATION_COST + self.points.times.size)
-        )
-        return (yield from self.posterior.limit.counted(self._solved()))
-
-    def _solved(self) -> Parts[Solved]:
-        maxima, strain = yield from self._maxima()
-        found = yield from completed(self.posterior, self.points, maxima, strain)
-        mismatch = yield from self._mismatch_probability(found.best)
+        limit = self.posterior.limit = self._limit(_MOST_EVALUATIONS)
+        found = yield from limit.counted(self._solutions())
+        limit = self.posterior.limit = self._limit(_MOST_OF_RIVALS)
+        mismatch = yield from limit.counted(self._mismatch_probability(found.best))
         return Solved(
             self.posterior,
             found,
@@ -147,6 +144,14 @@ class Search:
             contradicts(found.best.residuals),
             mismatch,
         )
+
+    def _limit(self, evaluations: float) -> Limit:
+        """Return that of so many evaluations of the record."""
+        return Limit(evaluations * (EVALUATION_COST + self.points.times.size))
+
+    def _solutions(self) -> Parts[Solutions]:
+        maxima, strain = yield from self._maxima()
+        return (yield from completed(self.posterior, self.points, maxima, strain))
 
     def _law_error(self, best: Solution) -> LawError | None:
         strain = self._strain(self.setting.origin(best.mean))

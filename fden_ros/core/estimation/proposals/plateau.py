@@ -3,15 +3,19 @@
 
 r"""A relaxation that ends, at a plateau: whether predictions of a hold will hold.
 
-The rival of the power law is a spring beside one Maxwell element, E(t) = (1 - q) + q e^(-t/tau),
-with the same characteristic and walk. Their evidence decides; tau is a rate of the kernel,
-averaged over those that the record can show.
+The rival of the power law is a spring beside one Maxwell element,
+
+.. math::
+    E(t) = 1 + \left(\frac{o}{1 - o}\right)^2 e^{-t/\tau} ,
+
+with the same characteristic and walk: for a short tau a spring and a dashpot. Their evidence
+decides; 1/tau is a rate of the kernel, averaged over those that the record can show.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -27,9 +31,9 @@ from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law.relaxation import RATES, relaxation_weights
 
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
-#: one that is long over.
-_SLOWEST, _FASTEST = 0.3, 60.0
-#: Prior of the part q that relaxes, and of the law's order beside it: mean and standard deviation
+#: one that is over at once, as that of a dashpot.
+_SLOWEST, _FASTEST = 0.3, 600.0
+#: Prior of o, which says how much relaxes, and of the law's order beside it: mean and standard deviation
 #: [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
 #: a tissue must not decide between two laws.
 _PART, _PART_SD, _LOG_G_SD = 0.5, 0.3, 1.0
@@ -38,7 +42,7 @@ _HELD = 1e6
 
 
 class _Maxwell(PressModel):
-    """The model of a press on a spring beside a Maxwell element; `order` is q."""
+    """The model of a press on a spring beside a Maxwell element; `order` is o."""
 
     rate = 0
     order_of_law = 0.3
@@ -48,10 +52,11 @@ class _Maxwell(PressModel):
         return self.order_of_law
 
     def relaxation(self, order: float) -> tuple[Array, Array]:
-        """Return the weights and their derivatives by q."""
+        """Return the weights and their derivatives by o."""
         weights, slopes = np.zeros(RATES.size + 2), np.zeros(RATES.size + 2)
-        weights[self.rate], weights[RATES.size] = order, 1.0 - order
-        slopes[self.rate], slopes[RATES.size] = 1.0, -1.0
+        odds = order / (1.0 - order)
+        weights[self.rate], weights[RATES.size] = odds**2, 1.0
+        slopes[self.rate] = 2.0 * odds / (1.0 - order) ** 2
         return weights, slopes
 
 
@@ -88,29 +93,41 @@ def mismatch_log_odds(
     now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
     at, scales = start.copy(), law.best_scales
     at[ORDER] = _PART
-    at[LOG_G] += math.log(max(now, 1e-9) / (1.0 - _PART))
-    rivals = []
-    for rate in wanted.tolist():
+    at[LOG_G] += math.log(max(now, 1e-9))
+    evidences: dict[int, float] = {}
+    for rate in _coarse_to_fine(wanted.tolist(), evidences):
         rival = _straight(made(_Maxwell), at)
         rival.limit = posterior.limit
         assert isinstance(rival.model, _Maxwell)
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
+        evidences[rate] = -math.inf
         found = yield from _solution(rival, points, at, scales)
         if found is not None:
-            rivals.append(evidence_under(rival, points, found, errors, rival.grid))
+            evidences[rate] = evidence_under(rival, points, found, errors, rival.grid)
             yield cost_of(points, rival.grid)
             at, scales = found.maximum.state, found.best_scales
-    if posterior.limit.is_reached:
-        return None
-    if not rivals:
-        return -math.inf
-    best = max(rivals)
+        if posterior.limit.is_reached:
+            break
+    best = max(evidences.values(), default=-math.inf)
     if not math.isfinite(best):
-        return -math.inf
-    gain = best + math.log(sum(math.exp(r - best) for r in rivals) / wanted.size)
+        return None if posterior.limit.is_reached else -math.inf
+    # A rate that was not tried has none: it can only be more.
+    gain = best + math.log(sum(math.exp(e - best) for e in evidences.values()) / wanted.size)
     gain -= law.log_evidence
+    if gain < 0.0 and posterior.limit.is_reached:
+        return None
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
     return gain / max(float(np.mean(solution.residuals**2)), 1.0)
+
+
+def _coarse_to_fine(rates: list[int], evidences: Mapping[int, float]) -> Iterator[int]:
+    """Return every other rate, from the fastest on, and then the neighbours of the likeliest.
+
+    `evidences`: of those that have been returned.
+    """
+    yield from rates[::-2]
+    likeliest = max(evidences, key=lambda rate: evidences[rate], default=0)
+    yield from (rate for rate in rates if abs(rate - likeliest) == 1)
 
 
 def _straight(posterior: Posterior, state: Array) -> Posterior:
