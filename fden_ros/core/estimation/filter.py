@@ -34,7 +34,6 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.law.characteristic import MAX_EXPONENT
 
-
 #: Row of the errors that the drift of the stress gains.
 _DRIFT = 3
 #: The linear model may lack this part of the stress [1]: with tissue of the law it is below 0.08,
@@ -165,7 +164,7 @@ class PressFilter:
         return update._replace(log_likelihood=log_likelihood)
 
     def _newly_lacking(self, stress: float) -> float:
-        """Return the variance that the stress's walk gains [Pa^2] where so much is lacking [Pa]."""
+        """Return the variance that the walk gains [Pa^2] where so much stress is lacking [Pa]."""
         gained = max(stress**2 - self._counted, 0.0)
         self._counted += gained
         return gained

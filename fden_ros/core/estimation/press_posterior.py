@@ -137,7 +137,7 @@ class PressPosterior:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether a solution was not found, or the newest block is not explained, or too far from it."""
+        """Whether a solution was not found, or does not explain the newest block."""
         if self.solved is None:
             return False
         is_asked = self._watch.is_asked or self._is_surprised or self.best.has_turned
