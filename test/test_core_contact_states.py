@@ -15,7 +15,7 @@ import pytest
 from fault_helpers import shift
 from pipeline_helpers import Item, feed, summaries_of
 
-from fden_ros.core.outputs import ContactSummary, Flag, Output
+from fden_ros.core.outputs import ContactSummary, Flag, Output, Phase, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.site import Site, SiteState
 from fden_ros.core.site_contact import Contact, Event, State
@@ -101,6 +101,16 @@ def test_a_contact_that_has_caught_up_is_pressing():
     pipeline, items = pickle.loads(at(State.BACKFILL))
     until(pipeline, items, lambda contact: contact.state is not State.BACKFILL)
     assert contact_of(pipeline).state is State.PRESSING
+
+
+def test_a_contact_that_was_interrupted_is_unknown_until_its_release():
+    pipeline, items = pickle.loads(at(State.INTERRUPTED))
+    outputs: list[Output] = []
+    pipeline._emit_output = outputs.append
+    until(pipeline, items, lambda contact: contact.state is not State.INTERRUPTED)
+    states = [o for o in outputs if isinstance(o, TissueState) and o.phase is not Phase.APPROACH]
+    assert states and {state.status for state in states} == {Status.UNKNOWN}
+    assert not any(state.estimate for state in states)
 
 
 def touch_unseen(site: Site, contact: Contact) -> None:

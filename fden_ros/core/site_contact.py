@@ -68,7 +68,7 @@ class State(enum.Enum):
     RELEASED = "the last solution is under way"
     AIR_CHECK = "the air behind it may contradict its summary"
     CLOSED = "nothing more comes of it"
-    INTERRUPTED = "samples are missing: states without an estimate until the release"
+    INTERRUPTED = "samples are missing: states UNKNOWN until the release"
     FAILED = "by an exception: states that say so until the release"
 
 
@@ -521,12 +521,11 @@ class Contact:
 
     def _state(self, stamp_ns: int, block: Learned, strain: float, phase: Phase) -> TissueState:
         estimate = self.site.live_estimate if self._is_learning else None
-        is_converged = estimate is not None and estimate.converged
         # Where the newest data are unexplained N/m was wrong by a factor of up to 50.
         explained = None if self.site.is_doubtful else estimate
         return TissueState(
             stamp_ns=stamp_ns,
-            status=Status.CONVERGED if is_converged else Status.CONVERGING,
+            status=self._status(estimate),
             flags=self.flags | estimate_flags(estimate),
             site_id=self.site.site_id,
             contact_id=self.contact_id,
@@ -537,6 +536,12 @@ class Contact:
             innovation=block.innovation,
             apparent_stiffness=self._stiffness(explained, block.compression, block.stress),
         )
+
+    def _status(self, estimate: Estimate | None) -> Status:
+        if self.state is State.INTERRUPTED:
+            return Status.UNKNOWN
+        is_converged = estimate is not None and estimate.converged
+        return Status.CONVERGED if is_converged else Status.CONVERGING
 
     def _stiffness(
         self, estimate: Estimate | None, compression: float | None, stress: float

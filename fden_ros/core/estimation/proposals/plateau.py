@@ -33,8 +33,8 @@ from fden_ros.core.law.relaxation import RATES, relaxation_weights
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
 #: one that is over at once, as that of a dashpot.
 _SLOWEST, _FASTEST = 0.3, 600.0
-#: Prior of o, which says how much relaxes, and of the law's order beside it: mean and standard
-#: deviation [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
+#: Prior of o, which says how much relaxes, and of the law's order: mean and standard deviation
+#: [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
 #: a tissue must not decide between two laws.
 _PART, _PART_SD, _LOG_G_SD = 0.5, 0.3, 1.0
 #: Precision with which the rig is held [1].
