@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from fden_ros.core.classification.classifier import ClassProbabilities
 from fden_ros.core.classification.labelling import Decided, Decision
 from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.budget import Budget
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation.estimate import Budget, Estimate, ParameterSet
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge

@@ -18,9 +18,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.budget import Budget
 from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import Observation
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -479,6 +478,7 @@ def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
 def prepare(config: PipelineConfig) -> None:
     """Import and compute what takes a moment: not only at the first touch."""
     _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
+    config.geometry.compression(0.1)
 
 
 def dips(duration_ns: int) -> bool:

@@ -10,8 +10,7 @@ import math
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.budget import Budget
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.parts import Parts, ended
 from fden_ros.core.law.geometry import Geometry

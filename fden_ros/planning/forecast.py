@@ -21,8 +21,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.budget import Budget, budget_of
+from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.density import Belief
+from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.maxima import completed, find_maxima
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, UNSOLVABLE, Posterior

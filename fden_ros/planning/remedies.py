@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.budget import Budget
+from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.law.characteristic import elastic_response, strain_of_phi
 from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
 from fden_ros.written import written

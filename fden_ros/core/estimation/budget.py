@@ -10,13 +10,14 @@ the normal equations, its process without variance. Parts do not add up: one hid
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
+from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN
@@ -41,30 +42,6 @@ _LEFT: Mapping[str, tuple[int, float]] = {
     "drift": (3, 0.0),
     "motion": (4, 0.0),
 }
-
-
-@dataclass(frozen=True)
-class Budget:
-    """What makes an estimate uncertain."""
-
-    variances: tuple[float, float]  #: of ln G and ln Gn, in all [1]
-    parts: Mapping[str, tuple[float, float]]  #: source to its parts of the two [1]
-    stress_noise: float  #: standard deviation of the stress per sample [Pa]
-    surface_sd: float  #: of the compression at which the tissue begins [1]
-
-    def largest(self, index: int, least: float = 0.1) -> tuple[str, ...]:
-        """Return the sources of ln G (`index` 0) or ln Gn (1), the largest first.
-
-        Those with less than the share `least` of the variance are left out.
-        """
-        whole = self.variances[index]
-        found = {name: part[index] for name, part in self.parts.items()}
-        names = sorted(found, key=lambda name: -found[name])
-        return tuple(name for name in names if found[name] > least * whole)
-
-    def share(self, source: str, index: int) -> float:
-        """Return a source's share of the variance [1]."""
-        return self.parts[source][index] / self.variances[index] if self.variances[index] else 0.0
 
 
 def budget_of(setting: PressSetting, solved: Solved, compression_sd: float) -> Budget:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -72,6 +74,30 @@ class LawError(NamedTuple):
         """Return the names under which outputs state them, kernel_error and kernel_error_sd."""
         errors = ("kernel_error", "characteristic_error", "loaded_error", "relaxation_order")
         return tuple(name + part for name in errors for part in ("", "_sd"))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What makes an estimate uncertain."""
+
+    variances: tuple[float, float]  #: of ln G and ln Gn, in all [1]
+    parts: Mapping[str, tuple[float, float]]  #: source to its parts of the two [1]
+    stress_noise: float  #: standard deviation of the stress per sample [Pa]
+    surface_sd: float  #: of the compression at which the tissue begins [1]
+
+    def largest(self, index: int, least: float = 0.1) -> tuple[str, ...]:
+        """Return the sources of ln G (`index` 0) or ln Gn (1), the largest first.
+
+        Those with less than the share `least` of the variance are left out.
+        """
+        whole = self.variances[index]
+        found = {name: part[index] for name, part in self.parts.items()}
+        names = sorted(found, key=lambda name: -found[name])
+        return tuple(name for name in names if found[name] > least * whole)
+
+    def share(self, source: str, index: int) -> float:
+        """Return a source's share of the variance [1]."""
+        return self.parts[source][index] / self.variances[index] if self.variances[index] else 0.0
 
 
 class Estimate(NamedTuple):

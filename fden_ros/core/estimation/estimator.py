@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.budget import Budget
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.budget import Budget, budget_of
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.budget import budget_of
+from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.layer import TERMS, hayes_factor, sphere_series
@@ -272,6 +271,8 @@ class Sphere(Geometry):
         most = max(strain, 0.0) ** (2.0 / 3.0)
         if not any(self.series) or self.strain(most) <= strain:
             return most
+        from scipy.optimize import brentq  # takes 0.2 s to import, and few tissues need it
+
         # The series is positive throughout.
         return float(brentq(lambda u: self.strain(u) - strain, 0.0, most, xtol=1e-300, rtol=1e-14))
 
