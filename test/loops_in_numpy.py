@@ -21,9 +21,9 @@ from scipy.special import ive
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.loops import LawState
 from fden_ros.core.estimation.unknowns import splines
-from fden_ros.core.law.characteristic import MAX_EXPONENT
-from fden_ros.core.law.relaxation import COUNT as RATES
-from fden_ros.core.law.relaxation import RATES as RATE_VALUES
+from fden_ros.core.law import MAX_EXPONENT
+from fden_ros.core.law import RATE_COUNT as RATES
+from fden_ros.core.law import RATES as RATE_VALUES
 
 # Gauss-Lobatto nodes on [0, 1]; and the Legendre coefficients of the derivative of the cubic
 # through values there.

@@ -27,8 +27,8 @@ from fden_ros.core.estimation.loops import (
     Steps,
     WalkState,
 )
-from fden_ros.core.law.relaxation import COUNT as RATES
-from fden_ros.simulation.model import FdenModel
+from fden_ros.core.law import RATE_COUNT as RATES
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 
 SPACING = 0.77

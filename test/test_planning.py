@@ -30,11 +30,10 @@ from visualization_msgs.msg import Marker
 from benchmark.plan import PARAMETERS, RADIUS_M, THICKNESS_M
 from fden_ros.cli import main
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import ContactDetector, Onset
-from fden_ros.core.estimation.mixture import Component
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.contact import ContactDetector, Onset
+from fden_ros.core.estimation import Component, ended
 from fden_ros.core.site import origin_of
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
@@ -132,13 +131,13 @@ def test_a_deep_press_after_a_shallow_one_divides_by_nothing():
 def test_a_touch_shows_what_it_shows_the_detector():
     loud, slow = replace(SENSORS, force_sd=0.05), replace(PRESS, speed=4e-3)
     tissues, forecast = LIVER.draws(8), Forecast(CONFIG, loud, LIVER)
-    posterior = forecast._posterior(forecast._setting(3e-3), slow.deepest)
+    press = forecast.press(slow, 3e-3)
     points = record(slow, CONFIG.geometry, loud, 0.0)
     times = np.arange(-2.5, slow.held[1], 1.0 / loud.rate)
     found: list[list[float]] = []
     for tissue in tissues:
-        response = posterior.model.response(points, forecast._state(posterior, tissue))
-        course = points.middles, response.stress / CONFIG.geometry.stress_per_force
+        stress = press.stress(points, tissue)
+        course = points.middles, stress / CONFIG.geometry.stress_per_force
         force = np.interp(times, *course) * (times > 0.0)
         for seed in range(3):
             noise = 0.05 * np.random.default_rng([seed, 1]).standard_normal(times.size)

@@ -5,3 +5,20 @@
 
 Free of ROS, like :mod:`fden_ros.core`.
 """
+
+from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
+from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
+from fden_ros.control.prediction import Prediction, Predictor
+from fden_ros.control.tissue_memory import TissueMemory
+
+__all__ = [
+    "ForceControlConfig",
+    "ForceController",
+    "Gains",
+    "LiveTissue",
+    "Prediction",
+    "Predictor",
+    "Reading",
+    "Refusal",
+    "TissueMemory",
+]

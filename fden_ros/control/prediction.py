@@ -42,22 +42,16 @@ from numpy.typing import ArrayLike
 from fden_ros.control.left_out import Slope
 from fden_ros.control.tissue_memory import TissueMemory
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.error_model import SURFACE_TIME
-from fden_ros.core.estimation.estimate import Estimate, StateIndex
-from fden_ros.core.estimation.estimator_config import (
+from fden_ros.core.estimation import (
     KERNEL_SHARE,
     NOTHING_UNKNOWN,
+    Estimate,
+    LoadingAhead,
+    StateIndex,
     Uncertainty,
+    surface_factor,
 )
-from fden_ros.core.estimation.record import BLOCK_TIME
-from fden_ros.core.estimation.unknowns import KERNEL_LENGTH, STRAIN_FLOOR
-from fden_ros.core.law.characteristic import (
-    apparent_stiffness_factor,
-    elastic_responses,
-    phi,
-)
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law import Geometry, elastic_responses, phi
 from fden_ros.errors import InputError
 
 #: Just after the present [s]: the first instant of which the memory knows the whole past.
@@ -94,8 +88,7 @@ class _Path(NamedTuple):
     """How the loading changes along a plan, each of shape (n,)."""
 
     steps: Array  #: of the time [s]
-    loading: Array  #: change of ln phi in each step [1]
-    ageing: Array  #: of ln A from the present on [1]
+    ahead: LoadingAhead
     stiffness: Array  #: of the stress by the displacement, relaxed [Pa/m]
 
 
@@ -185,7 +178,7 @@ class Predictor:
         remembered = held[1:] + self.stress - held[0]
         if self._trend is not None:
             slope = self._slope(self._trend.slope, logs, order)
-            remembered += self._trend.kept * slope * path.ageing
+            remembered += self._trend.kept * slope * path.ahead.ageing
         return remembered, _gains(np.append(0.0, grid), order)
 
     def _slope(self, slope: Slope, logs: Array, order: float) -> float:
@@ -217,23 +210,17 @@ class Predictor:
     def _relaxed(self) -> float:
         """Stress by the displacement over the time of the surface's motion, at phi' = 1 [Pa/m]."""
         estimate = self.estimate
-        factor = apparent_stiffness_factor(estimate.fractional_order, SURFACE_TIME)
+        factor = surface_factor(estimate.fractional_order)
         return estimate.linear_stiffness * factor / self.geometry.length
 
     def _path(self, grid: Array, strains: Array) -> _Path:
         """Return how the loading changes along strains [1] at times [s], (n,) each."""
-        age = self.estimate.loading_age
         elastic = elastic_responses(
             np.append(self.memory.strain, strains), 1.0, self.estimate.nonlinear_stiffness
         )
-        steps, loaded = np.diff(grid, prepend=0.0), elastic.value + STRAIN_FLOOR
-        state, ages = np.array([loaded[0], age]), np.empty_like(steps)
-        for k in range(steps.size):
-            loops.clock(loaded[k + 1 : k + 2], steps[k : k + 1], BLOCK_TIME, state)
-            ages[k] = state[1]
-        ageing = np.log((ages + BLOCK_TIME) / (age + BLOCK_TIME))
-        loading = np.abs(np.diff(np.log(loaded)))
-        return _Path(steps, loading, ageing, self._relaxed * elastic.by_strain[1:])
+        steps = np.diff(grid, prepend=0.0)
+        ahead = LoadingAhead.along(elastic.value, steps, self.estimate.loading_age)
+        return _Path(steps, ahead, self._relaxed * elastic.by_strain[1:])
 
     def _left_out_variance(self, path: _Path, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
@@ -241,15 +228,14 @@ class Predictor:
         if estimate.loading_age <= 0.0:
             return np.zeros_like(stress)
         kernel_error = self._kernel_error if trend is None else 0.0
-        aged = np.abs(np.diff(path.ageing, prepend=0.0))
-        relative = estimate.model_error**2 * path.loading + kernel_error**2 / KERNEL_LENGTH * aged
-        grown = 2.0 * stress**2 * relative + self._rig_variance(path.stiffness) * path.steps
+        grown = path.ahead.left_out(stress, estimate.model_error, kernel_error)
+        grown += self._rig_variance(path.stiffness) * path.steps
         relaxation = (kernel_error * stress) ** 2
         if trend is not None:
             relaxation = (_SHOWN_RELAXATION * self.uncertainty.kernel_sd * stress) ** 2
             relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, *self._parameters)) ** 2
             relaxation += trend.kept * trend.variance
-        return np.asarray(np.cumsum(grown) + path.ageing**2 * relaxation)
+        return np.asarray(np.cumsum(grown) + path.ahead.ageing**2 * relaxation)
 
     def _rig_variance(self, stiffness: Array) -> Array:
         """Return by how much the variance of the rig's error grows in a second [Pa^2/s]."""

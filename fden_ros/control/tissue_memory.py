@@ -12,20 +12,8 @@ import numpy as np
 
 from fden_ros.control.left_out import Hold, Point, Slope
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.loops import LawState, ResponseState, Steps
-from fden_ros.core.estimation.press_model import FreeSurface
-from fden_ros.core.estimation.record import Sample
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import (
-    HIGHEST_ORDER,
-    LOWEST_ORDER,
-    SHORTEST_STEP,
-    StressMoments,
-    creep_weights,
-    relaxation_weights,
-)
+from fden_ros.core.estimation import Estimate, LawAlong
+from fden_ros.core.law import SHORTEST_STEP, Geometry, StressMoments, creep_weights
 
 #: Samples of a contact that are kept [1]: of more than that the older half is thinned out, so that
 #: what is long ago is coarse.
@@ -49,8 +37,10 @@ class TissueMemory:
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self._moments = StressMoments()
-        self._free = FreeSurface(self._moments, 0.0)
-        self._samples: list[Sample] = []
+        #: Of the stress before the present contact, and when that began [s].
+        self._before, self._touched = self._moments, 0.0
+        #: Times [s], compressions [1] and stresses [Pa] of it.
+        self._samples: list[tuple[float, float, float]] = []
         self._hold = Hold()
         self._time = self._stress = self.strain = 0.0
 
@@ -70,10 +60,10 @@ class TissueMemory:
         """Take a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""
         samples = self._samples
         if not samples:
-            self._free = FreeSurface(copy.copy(self._moments), self._time)
-            samples.append(Sample(self._time, 0.0, 0.0))
+            self._before, self._touched = copy.copy(self._moments), self._time
+            samples.append((self._time, 0.0, 0.0))
         self._pass(step, stress)
-        samples.append(Sample(self._time, self._geometry.compression(strain), stress))
+        samples.append((self._time, self._geometry.compression(strain), stress))
         if len(samples) > MOST_SAMPLES:
             del samples[1 : MOST_SAMPLES // 2 : 2]
         self.strain = strain
@@ -110,44 +100,27 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law, state = self._law(logs, order), ResponseState(0)
+        law = LawAlong(self._geometry, logs, order)
         past = np.array([sample[:2] for sample in self._samples]).reshape(-1, 2)
-        self._respond(law, past[:, 0], past[:, 1], order, state)
+        self._respond(law, past[:, 0], past[:, 1], order)
         instants = self._time + np.maximum(times, SHORTEST_STEP)
         rest = np.full(times.size, self.compression)
-        return self._respond(law, instants, rest, order, state, begin=self._time)
-
-    def _law(self, logs: Array, order: float) -> LawState:
-        g, gn = np.exp(logs).tolist()
-        return LawState(
-            linear_stiffness=g,
-            nonlinear_stiffness=gn,
-            exponent=self._geometry.exponent,
-            is_one_sided=self._geometry.is_one_sided,
-            compliance=0.0,
-            weights=relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER))),
-            bend=np.zeros(0),
-            last_knot=1.0,
-            series=self._geometry.series,
-        )
+        return self._respond(law, instants, rest, order, begin=self._time)
 
     def _respond(
         self,
-        law: LawState,
+        law: LawAlong,
         times: Array,
         compressions: Array,
         order: float,
-        state: ResponseState,
         begin: float | None = None,
     ) -> Array:
         """Return the law's stress [Pa] along a motion that goes on from `begin` [s]."""
         if not times.size:
             return np.zeros(0)
         steps = np.diff(times, prepend=times[0] if begin is None else begin)
-        surface = self._free.at(times) @ creep_weights(order)
-        own = Steps.of(steps)
-        found = loops.respond(law, own, np.ascontiguousarray(compressions), surface, None, state)
-        return found.stress
+        free = self._before.after(np.maximum(times - self._touched, 0.0))
+        return law.stress(steps, compressions, free @ creep_weights(order))
 
     def slope(self, age: float) -> Slope | None:
         """Return how the slope of what the law leaves out follows from the present hold.
@@ -175,8 +148,8 @@ class TissueMemory:
         order : float
             alpha [1].
         """
-        law = self._law(logs, order)
         times, compressions, _ = np.array(self._samples).T
-        own = self._respond(law, times, compressions, order, ResponseState(0))
+        law = LawAlong(self._geometry, logs, order)
+        own = self._respond(law, times, compressions, order)
         instants, stresses = np.array(points).T
         return np.asarray(stresses - np.interp(instants, times, own))

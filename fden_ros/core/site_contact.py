@@ -16,14 +16,11 @@ from typing import Any
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
-from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, Labelling
+from fden_ros.core.classification import Answer, Evidence, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.learned_scales import Evidence as DriftEvidence
-from fden_ros.core.estimation.learned_scales import drift_evidence
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import Estimate, RigKnowledge, drift_evidence
+from fden_ros.core.oscillation import ComplexModulusMeter
 from fden_ros.core.outputs import (
     WITHHELD,
     ApparentStiffness,
@@ -41,8 +38,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site, SiteState
-from fden_ros.core.streams.guard import force_at_limit
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair, force_at_limit
 
 #: A first contact that stays below this multiple of the release force is faint.
 _FAINT = 4.0
@@ -166,7 +162,7 @@ class Contact:
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
-        self._drift: DriftEvidence | None = None
+        self._drift: tuple[float, ...] | None = None
 
     @property
     def flags(self) -> Flag:

@@ -12,7 +12,21 @@ completes the core's configuration in it.
 0.0002
 """
 
-from fden_ros.parameters.files import read_parameter_file, read_parameter_files
+from fden_ros.parameters.files import (
+    ATTENTION_LINE,
+    LIVE_LINE,
+    OPEN_AXIS,
+    Section,
+    check_types,
+    identifier_values,
+    live_topics,
+    open_axes,
+    parse_yaml,
+    read_parameter_file,
+    read_parameter_files,
+    read_sections,
+    values_for,
+)
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     frames_config,
@@ -33,21 +47,32 @@ from fden_ros.parameters.table import (
 )
 
 __all__ = [
+    "ATTENTION_LINE",
     "DEFAULT_HARDWARE_ID",
+    "LIVE_LINE",
     "NODE_PARAMETERS",
+    "OPEN_AXIS",
     "PARAMETERS",
     "Parameter",
     "Parameters",
+    "Section",
     "Value",
     "check",
+    "check_types",
     "frames_config",
+    "identifier_values",
+    "live_topics",
     "moves_probe",
+    "open_axes",
+    "parse_yaml",
     "pipeline_config",
     "read_parameter_file",
     "read_parameter_files",
+    "read_sections",
     "surface_axis",
     "takes_surface",
     "tool_weight",
     "uncertainty_of",
     "unit_vector",
+    "values_for",
 ]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.record import TOUCH_TIME, Points, Record
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.estimation import TOUCH_TIME, Points, imagined_record
+from fden_ros.core.law import Geometry
 
 #: Frequency of an oscillation [Hz]: slow enough for any arm.
 FREQUENCY = 1.5
@@ -118,17 +118,7 @@ def record(motion: Motion, geometry: Geometry, sensors: Sensors, reach: float) -
     `reach`: how far before its nominal place the touch may be, as compression [1].
     """
     times = motion.times(sensors)
-    own = Record(sensors.displacement_sd / geometry.length, reach)
-    for time, compression in zip(
-        times.tolist(), (motion.depths(times) / geometry.length).tolist(), strict=True
-    ):
-        own.add(time, compression, 0.0, is_observed=True)
-    points = own.points()
+    compressions, noise = motion.depths(times) / geometry.length, sensors.displacement_sd
+    points = imagined_record(times, compressions, noise / geometry.length, reach)
     steps = np.interp(points.middles, times[1:], np.diff(times))
     return replace(points, counts=points.counts * np.maximum(steps * sensors.rate, 1.0))
-
-
-def until(points: Points, count: int) -> Points:
-    """Return a record of which only the first blocks are observed."""
-    names = ("first", "last", "middles", "durations", "counts", "stresses")
-    return replace(points, **{name: getattr(points, name)[:count] for name in names})

@@ -6,3 +6,21 @@
 Shares no numerics with :mod:`fden_ros.core`. Simulated recordings stand beside the package, in
 ``simulation/``.
 """
+
+from fden_ros.simulation import phantom
+from fden_ros.simulation.model import FdenModel, FloatArray
+from fden_ros.simulation.rig import Command, Rig, RigConfig
+from fden_ros.simulation.tissue import Column, Inclusion, Relaxation, Tissue
+
+__all__ = [
+    "Column",
+    "Command",
+    "FdenModel",
+    "FloatArray",
+    "Inclusion",
+    "Relaxation",
+    "Rig",
+    "RigConfig",
+    "Tissue",
+    "phantom",
+]

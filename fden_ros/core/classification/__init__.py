@@ -2,3 +2,46 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """From parameters with their covariance to a tissue."""
+
+from fden_ros.core.classification.classifier import (
+    UNKNOWN,
+    ClassProbabilities,
+    Likelihood,
+    Tissue,
+    TissueLibrary,
+    likelihood_of,
+    log_evidence,
+    posterior,
+)
+from fden_ros.core.classification.labelling import (
+    Answer,
+    Decided,
+    Decision,
+    DecisionConfig,
+    Evidence,
+    Labeller,
+    Labelling,
+    Surroundings,
+)
+from fden_ros.core.classification.relative import Comparison, RelativeConfig
+
+__all__ = [
+    "UNKNOWN",
+    "Answer",
+    "ClassProbabilities",
+    "Comparison",
+    "Decided",
+    "Decision",
+    "DecisionConfig",
+    "Evidence",
+    "Labeller",
+    "Labelling",
+    "Likelihood",
+    "RelativeConfig",
+    "Surroundings",
+    "Tissue",
+    "TissueLibrary",
+    "likelihood_of",
+    "log_evidence",
+    "posterior",
+]

@@ -1,4 +1,118 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""From blocks of stress and compression to parameters with their covariance."""
+"""From blocks of stress and compression to parameters with their covariance.
+
+Other rooms use the names below. Those that solve are imported when one is first asked for: who
+reads an estimate needs no solver.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fden_ros.core.estimation.ahead import LawAlong, LoadingAhead, kernel_change, surface_factor
+from fden_ros.core.estimation.claims import (
+    EDGE,
+    Reservations,
+    converged,
+    determined,
+    probability_beyond,
+    reserved,
+)
+from fden_ros.core.estimation.estimate import (
+    KEYS,
+    PUBLISHED,
+    Budget,
+    Estimate,
+    LawError,
+    ParameterSet,
+    StateIndex,
+)
+from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
+from fden_ros.core.estimation.estimator_config import (
+    KERNEL_SHARE,
+    NOTHING_UNKNOWN,
+    EstimatorConfig,
+    Observation,
+    Prior,
+    Uncertainty,
+)
+from fden_ros.core.estimation.learned_scales import drift_evidence
+from fden_ros.core.estimation.mixture import Component, moments, positive
+from fden_ros.core.estimation.parts import Advanced, Parts, ended
+from fden_ros.core.estimation.record import TOUCH_TIME, Points
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.small_motion import log_stiffness
+from fden_ros.core.estimation.unknowns import LINEAR_DELAY
+from fden_ros.core.estimation.whiteness import NO_CHANCE
+
+if TYPE_CHECKING:
+    from fden_ros.core.estimation.imagined import (
+        UNSOLVABLE,
+        ImaginedPress,
+        imagined_record,
+    )
+    from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+
+__all__ = [
+    "EDGE",
+    "KERNEL_SHARE",
+    "KEYS",
+    "LINEAR_DELAY",
+    "NOTHING_UNKNOWN",
+    "NO_CHANCE",
+    "PUBLISHED",
+    "TOUCH_TIME",
+    "UNSOLVABLE",
+    "Advanced",
+    "Block",
+    "Budget",
+    "Component",
+    "Estimate",
+    "Estimator",
+    "EstimatorConfig",
+    "ImaginedPress",
+    "Innovation",
+    "LawAlong",
+    "LawError",
+    "LoadingAhead",
+    "Observation",
+    "ParameterSet",
+    "Parts",
+    "Points",
+    "PosteriorEstimator",
+    "Prior",
+    "Reservations",
+    "RigKnowledge",
+    "StateIndex",
+    "Uncertainty",
+    "converged",
+    "determined",
+    "drift_evidence",
+    "ended",
+    "imagined_record",
+    "kernel_change",
+    "log_stiffness",
+    "moments",
+    "positive",
+    "probability_beyond",
+    "reserved",
+    "surface_factor",
+]
+
+_LATER = {
+    "UNSOLVABLE": "imagined",
+    "ImaginedPress": "imagined",
+    "imagined_record": "imagined",
+    "PosteriorEstimator": "posterior_estimator",
+}
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name not in _LATER:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        return getattr(importlib.import_module(f"{__name__}.{_LATER[name]}"), name)

@@ -29,9 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.law.layer import TERMS
-from fden_ros.core.law.relaxation import COUNT as RATE_COUNT
-from fden_ros.core.law.relaxation import RATES
+from fden_ros.core.law import LAYER_TERMS, RATE_COUNT, RATES
 
 _VERSION = 4  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
@@ -65,7 +63,7 @@ class LawState:
     bend: Array
     last_knot: float  #: strain of the last knot [1]
     #: Of the geometry: by what factor a layer strains more than that power.
-    series: tuple[float, ...] = (0.0,) * TERMS
+    series: tuple[float, ...] = (0.0,) * LAYER_TERMS
 
     @property
     def numbers(self) -> Array:

@@ -2,3 +2,86 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """The FDEN law: geometry, characteristic, fractional memory, response at nodes."""
+
+from fden_ros.core.law.apparent_stiffness import (
+    ApparentStiffness,
+    LogStiffness,
+    log_stiffness,
+    log_stiffness_at,
+)
+from fden_ros.core.law.characteristic import (
+    MAX_EXPONENT,
+    apparent_stiffness_factor,
+    elastic_response,
+    elastic_responses,
+    exponential_scale,
+    log_phi,
+    log_strain,
+    phi,
+    strain_of_phi,
+)
+from fden_ros.core.law.geometry import (
+    FlatPunch,
+    Geometry,
+    GeometryConfig,
+    PassThrough,
+    Sphere,
+    TorsionalRheometer,
+)
+from fden_ros.core.law.layer import LAYER_TERMS, hayes_factor
+from fden_ros.core.law.relaxation import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    RATE_COUNT,
+    RATES,
+    SHORTEST_STEP,
+    StressMoments,
+    creep_slopes,
+    creep_weights,
+    left_after,
+    memory_slopes,
+    memory_weights,
+    relaxation_after,
+    relaxation_slopes,
+    relaxation_weights,
+)
+from fden_ros.core.law.stress_memory import StressMemory
+
+__all__ = [
+    "HIGHEST_ORDER",
+    "LAYER_TERMS",
+    "LOWEST_ORDER",
+    "MAX_EXPONENT",
+    "RATES",
+    "RATE_COUNT",
+    "SHORTEST_STEP",
+    "ApparentStiffness",
+    "FlatPunch",
+    "Geometry",
+    "GeometryConfig",
+    "LogStiffness",
+    "PassThrough",
+    "Sphere",
+    "StressMemory",
+    "StressMoments",
+    "TorsionalRheometer",
+    "apparent_stiffness_factor",
+    "creep_slopes",
+    "creep_weights",
+    "elastic_response",
+    "elastic_responses",
+    "exponential_scale",
+    "hayes_factor",
+    "left_after",
+    "log_phi",
+    "log_stiffness",
+    "log_stiffness_at",
+    "log_strain",
+    "memory_slopes",
+    "memory_weights",
+    "phi",
+    "relaxation_after",
+    "relaxation_slopes",
+    "relaxation_weights",
+    "strain_of_phi",
+]

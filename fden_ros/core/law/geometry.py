@@ -20,7 +20,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.layer import TERMS, hayes_factor, sphere_series
+from fden_ros.core.law.layer import LAYER_TERMS, hayes_factor, sphere_series
 from fden_ros.core.parameter import TINY, parameter
 
 #: The most that a flat punch reaches in thicknesses, and a sphere on a thick tissue in radii [1].
@@ -88,7 +88,7 @@ class Geometry(ABC):
     @property
     def series(self) -> tuple[float, ...]:
         """Coefficients of the factor by which a layer strains more [1]."""
-        return (0.0,) * TERMS
+        return (0.0,) * LAYER_TERMS
 
     @property
     def most_strain(self) -> float:
@@ -118,7 +118,7 @@ class Geometry(ABC):
         values, slopes = sizes**power, power * sizes ** (power - 1.0)
         if power == 1.0:
             return Strains(values, slopes, np.zeros_like(sizes))
-        orders = np.arange(1, TERMS + 1)
+        orders = np.arange(1, LAYER_TERMS + 1)
         terms = np.array(self.series) * np.sqrt(sizes)[..., None] ** orders
         steeper = terms * (1.0 + 0.5 * orders / power)
         steep = 1.0 + steeper.sum(axis=-1)

@@ -37,7 +37,7 @@ _WAVES, _WAVE_WEIGHTS = _gauss(30.0, 240)
 #: Contact radii over the thickness that the series is fitted to [1].
 _CONTACTS = np.linspace(0.2, 3.0, 15)
 #: Count of the series' terms: with one less it is 3 % off.
-TERMS = 5
+LAYER_TERMS = 5
 
 
 @functools.lru_cache(maxsize=64)
@@ -81,7 +81,7 @@ def sphere_series(poisson_ratio: float, *, is_bonded: bool = True) -> tuple[floa
     found = [_of_sphere(contact, poisson_ratio, is_bonded=is_bonded) for contact in _CONTACTS]
     ratios, factors = np.array(found).T
     first = 2.0 / math.pi * float(_softer(poisson_ratio, is_bonded=is_bonded).sum())
-    powers = ratios[:, None] ** np.arange(2, TERMS + 1) / factors[:, None]
+    powers = ratios[:, None] ** np.arange(2, LAYER_TERMS + 1) / factors[:, None]
     rest = np.linalg.lstsq(powers, (factors - 1.0 - first * ratios) / factors, rcond=None)[0]
     return (first, *rest.tolist())
 

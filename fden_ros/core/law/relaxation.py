@@ -34,11 +34,11 @@ from fden_ros.core.arrays import Array
 
 #: Exponentials and their distance in ln lambda: half the distance changes a response by
 #: 5e-6 of it.
-COUNT, SPACING = 32, 0.77
+RATE_COUNT, SPACING = 32, 0.77
 #: The slowest rate [1/s]: memory of eleven days.
 SLOWEST = 1e-6
-#: Rates of the exponentials [1/s], shape (COUNT,).
-RATES: Array = SLOWEST * np.exp(SPACING * np.arange(COUNT))
+#: Rates of the exponentials [1/s], shape (RATE_COUNT,).
+RATES: Array = SLOWEST * np.exp(SPACING * np.arange(RATE_COUNT))
 RATES.flags.writeable = False
 #: Logarithms of the rates, then of those by which the slower and the faster ones count.
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
@@ -52,7 +52,7 @@ _SERIES_LIMIT = 1e-4
 
 
 def relaxation_weights(order: float) -> Array:
-    """Return the weights of relaxation, shape (COUNT + 2,): then of slower and faster rates."""
+    """Return the weights of relaxation, shape (RATE_COUNT + 2,); at last slower, faster rates."""
     factor = SPACING * math.sin(math.pi * order) / math.pi
     slow = factor * RATES[0] ** order / math.expm1(SPACING * order)
     # A fast exponential meets a change of phi as its rate times 1 / lambda.
@@ -73,12 +73,12 @@ def relaxation_slopes(order: float) -> Array:
 def left_after(times: float | Array) -> Array:
     """Return the part of each weight of the relaxation that is left after times [s].
 
-    Of those that :func:`relaxation_weights` returns, shape (..., COUNT + 2): of the slower rates
-    all, of the faster ones nothing.
+    Of those that :func:`relaxation_weights` returns, shape (..., RATE_COUNT + 2): of the slower
+    rates all, of the faster ones nothing.
     """
-    left = np.zeros((*np.shape(times), COUNT + 2))
-    left[..., :COUNT] = np.exp(-np.multiply.outer(times, RATES))
-    left[..., COUNT] = 1.0
+    left = np.zeros((*np.shape(times), RATE_COUNT + 2))
+    left[..., :RATE_COUNT] = np.exp(-np.multiply.outer(times, RATES))
+    left[..., RATE_COUNT] = 1.0
     return left
 
 
@@ -94,7 +94,7 @@ def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
 
     Returns
     -------
-    parts, slopes : ndarray, shape (n, COUNT + 1)
+    parts, slopes : ndarray, shape (n, RATE_COUNT + 1)
     """
     order = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)[:, None]
     turn = math.pi * order
@@ -104,7 +104,7 @@ def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
     # The slower rates are a geometric sum.
     parts[:, -1:] /= np.expm1(SPACING * order)
     by_order[:, -1:] += SPACING / np.expm1(-SPACING * order)
-    parts *= left_after(time)[: COUNT + 1]
+    parts *= left_after(time)[: RATE_COUNT + 1]
     return parts, by_order * parts
 
 
@@ -114,7 +114,7 @@ def _slopes(weights: Callable[[float], Array], order: float) -> Array:
 
 
 def creep_weights(order: float) -> Array:
-    """Return the weights, shape (COUNT,), that turn moments of the stress into D^-alpha of it."""
+    """Return the weights, shape (RATE_COUNT,), that make D^-alpha of the stress of its moments."""
     factor = SPACING * math.sin(math.pi * order) / math.pi
     weights: Array = factor * RATES ** (1.0 - order)
     # The slower ones have not decayed yet: they weigh on the slowest.
@@ -129,7 +129,7 @@ def creep_slopes(order: float) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def memory_weights(order: float) -> Array:
-    """Return the weights, shape (COUNT + 1,), of moments and present stress in D^-alpha of it."""
+    """Return the weights of moments and present stress in D^-alpha, shape (RATE_COUNT + 1,)."""
     order = max(order, LOWEST_ORDER)
     factor = SPACING * math.sin(math.pi * order) / math.pi
     # What decays faster than the fastest follows the stress.
@@ -153,7 +153,7 @@ def passed(
 
     Returns
     -------
-    decay, gain : ndarray, shape (..., COUNT)
+    decay, gain : ndarray, shape (..., RATE_COUNT)
     """
     y = RATES * step
     mean = -np.expm1(-y) / y
@@ -166,12 +166,12 @@ class StressMoments:
 
     Attributes
     ----------
-    values : ndarray, shape (COUNT,)
+    values : ndarray, shape (RATE_COUNT,)
         int exp(-lambda (t - s)) f(s) ds [Pa s].
     """
 
     def __init__(self) -> None:
-        self.values: Array = np.zeros(COUNT)
+        self.values: Array = np.zeros(RATE_COUNT)
 
     def add(self, step: float, before: float, after: float) -> None:
         """Take a stress [Pa] that goes along a line in `step` seconds."""
@@ -179,7 +179,7 @@ class StressMoments:
         self.values = decay * self.values + gain
 
     def after(self, elapsed: Array) -> Array:
-        """Return the moments after times without stress [s], shape (n, COUNT)."""
+        """Return the moments after times without stress [s], shape (n, RATE_COUNT)."""
         result: Array = np.exp(-np.outer(elapsed, RATES)) * self.values
         return result
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.relaxation import COUNT, RATES, memory_weights, passed
+from fden_ros.core.law.relaxation import RATE_COUNT, RATES, memory_weights, passed
 
 #: The stress falls to 0 within 1 ms [s] where nothing is seen of its end.
 _LETTING_GO = 1e-3
@@ -30,10 +30,10 @@ class StressMemory:
     """
 
     def __init__(self) -> None:
-        self._moments: Array = np.zeros(COUNT)
+        self._moments: Array = np.zeros(RATE_COUNT)
         self._stress = 0.0
         self._waiting: list[tuple[float, float]] = []
-        self._sum: Array = np.zeros(COUNT + 1)
+        self._sum: Array = np.zeros(RATE_COUNT + 1)
 
     def press(self, step: float, stress: float) -> None:
         """Take a stress [Pa] `step` seconds after the last."""
@@ -56,18 +56,18 @@ class StressMemory:
 
         Returns
         -------
-        ndarray, shape (COUNT + 1,)
+        ndarray, shape (RATE_COUNT + 1,)
             Moments [Pa s] and stress [Pa], as :func:`memory_weights` weighs them.
         """
         self._catch_up()
-        total, self._sum = self._sum, np.zeros(COUNT + 1)
+        total, self._sum = self._sum, np.zeros(RATE_COUNT + 1)
         return total / size
 
     def free_response(self, step: float, order: float) -> float:
         """Return phi of the free surface `step` seconds from the last sample [Pa s^alpha]."""
         self._catch_up()
         decay, gain = passed(step, self._stress, 0.0)
-        return float(memory_weights(order)[:COUNT] @ (decay * self._moments + gain))
+        return float(memory_weights(order)[:RATE_COUNT] @ (decay * self._moments + gain))
 
     def _catch_up(self) -> None:
         """Take the samples that wait: together their decays cost a third of what each would."""
@@ -76,11 +76,11 @@ class StressMemory:
         steps, stresses = np.array(self._waiting).T
         self._waiting.clear()
         before = np.append(self._stress, stresses[:-1])
-        moments, total = self._moments, self._sum[:COUNT]
+        moments, total = self._moments, self._sum[:RATE_COUNT]
         for decay, gain in zip(
             *passed(steps[:, None], before[:, None], stresses[:, None]), strict=True
         ):
             moments = decay * moments + gain
             total += moments
         self._moments, self._stress = moments, float(stresses[-1])
-        self._sum[COUNT] += stresses.sum()
+        self._sum[RATE_COUNT] += stresses.sum()

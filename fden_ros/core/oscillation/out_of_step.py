@@ -12,10 +12,7 @@ from __future__ import annotations
 
 import math
 
-from fden_ros.core.estimation.claims import EDGE
-from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
-from fden_ros.core.estimation.whiteness import NO_CHANCE
+from fden_ros.core.estimation import EDGE, NO_CHANCE, Uncertainty, kernel_change
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 
 #: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
@@ -77,7 +74,7 @@ class PhaseGrowth:
         slow, fast = seen[0], seen[-1]
         way = math.log(fast.angular_frequency / slow.angular_frequency)
         delay = (fast.angular_frequency - slow.angular_frequency) * uncertainty.delay_sd
-        kernel = 2.0 * uncertainty.kernel_sd**2 * -math.expm1(-way / KERNEL_LENGTH)
+        kernel = kernel_change(uncertainty.kernel_sd, way)
         of_law = kernel * (0.5 * math.pi / way) ** 2
         variance = slow.variance + fast.variance + delay**2 + of_law
         return fast.mean - slow.mean > EDGE * math.sqrt(variance)

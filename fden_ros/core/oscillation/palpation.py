@@ -22,12 +22,18 @@ import numpy as np
 from scipy.special import digamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.claims import EDGE, converged, determined
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.unknowns import KERNEL_LENGTH
-from fden_ros.core.estimation.whiteness import NO_CHANCE
-from fden_ros.core.law.apparent_stiffness import ApparentStiffness
+from fden_ros.core.estimation import (
+    EDGE,
+    NO_CHANCE,
+    Estimate,
+    EstimatorConfig,
+    ParameterSet,
+    Uncertainty,
+    converged,
+    determined,
+    kernel_change,
+)
+from fden_ros.core.law import ApparentStiffness
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.out_of_step import is_out_of_step
 
@@ -89,7 +95,7 @@ def palpated(
     covariance = measured - np.outer(gain, measured[1])
     lag = math.log(angular_frequency * time_scale)
     slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
-    kernel = 2.0 * config.uncertainty.kernel_sd**2 * -math.expm1(-abs(lag) / KERNEL_LENGTH)
+    kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
     variance = float(slope @ covariance @ slope) + kernel
     estimate = _estimate(float(order), float(covariance[1, 1]), own_order, config, samples)

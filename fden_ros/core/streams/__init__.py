@@ -2,3 +2,54 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Samples of two streams in, pairs out: checked, synchronised, the tool's weight taken off."""
+
+from fden_ros.core.streams.frames import FramesConfig, StaticLinks, chain_up
+from fden_ros.core.streams.guard import GapGuard, Resolution, StreamGuard, force_at_limit
+from fden_ros.core.streams.rotation import (
+    NumberOrVector,
+    Quaternion,
+    Transform,
+    Vector,
+    by_rotation_vector,
+    conjugate,
+    normalised,
+    rotate,
+)
+from fden_ros.core.streams.samples import (
+    NANOSECONDS,
+    Pair,
+    Position,
+    Reason,
+    Sink,
+    lateral_distance,
+)
+from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
+
+__all__ = [
+    "NANOSECONDS",
+    "FramesConfig",
+    "GapGuard",
+    "NumberOrVector",
+    "Pair",
+    "Position",
+    "Quaternion",
+    "Reason",
+    "Resolution",
+    "Sink",
+    "StaticLinks",
+    "StreamGuard",
+    "SynchronizeConfig",
+    "Synchronizer",
+    "ToolPathConfig",
+    "ToolWeight",
+    "Transform",
+    "Vector",
+    "by_rotation_vector",
+    "chain_up",
+    "conjugate",
+    "force_at_limit",
+    "lateral_distance",
+    "normalised",
+    "rotate",
+]

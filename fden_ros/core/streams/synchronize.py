@@ -13,8 +13,6 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
 from fden_ros.core.streams.guard import StreamGuard
@@ -322,6 +320,8 @@ class Synchronizer:
 def _noise_of(samples: deque[Sample]) -> float:
     if len(samples) < NOISE_SAMPLES // 8:
         return 0.0
+    import numpy as np  # here alone: what reads recordings uses this room without it
+
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
     value = np.array([sample.value for sample in samples])
     step = np.diff(time) / NANOSECONDS
