@@ -198,7 +198,7 @@ def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more(
     # The probe presses on: the states go on, without a number.
     after = [s for s in states_in(result, 1) if s.stamp_ns > first.end_ns]
     assert len(after) > 20
-    assert all(s.estimate is None and s.status is Status.CONVERGING for s in after)
+    assert all(s.estimate is None and s.status is Status.UNKNOWN for s in after)
     assert all(s.flags & Flag.GAP and s.signals is not None for s in after)
     # What the tissue remembers of the gap is not known, so later contacts there say nothing.
     for summary in later:

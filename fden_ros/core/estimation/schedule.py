@@ -66,15 +66,17 @@ class Schedule:
     def care(self, least: Care, elapsed: float, best: Hypothesis, *, has_slowed: bool) -> Care:
         """Return the care of a solution that begins now; `has_slowed`: the motion of its record.
 
-        Whether the relaxation ends is asked once the motion has slowed, since there it relaxes,
-        and again where the press is longer by a half.
+        Whether the relaxation ends is asked once the motion has slowed, or the press is over, and
+        again where the press is longer by a half.
         """
-        care = Care.LAST if self.is_over else least
+        care = Care.EXACT if self.is_over else least
         if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
             care = max(care, Care.FROM_STARTS)
-        can_tell = best.solved is not None and best.setting.can_tell_mismatch and has_slowed
-        if can_tell and elapsed >= _ASKED_RATIO * self._asked_at:
-            care, self._asked_at = max(care, Care.ASKED), elapsed
+        can_tell = best.solved is not None and best.setting.can_tell_mismatch
+        shows_relaxation = has_slowed or self.is_over
+        if can_tell and shows_relaxation and elapsed >= _ASKED_RATIO * self._asked_at:
+            self._asked_at = elapsed
+            care = Care.LAST if self.is_over else max(care, Care.ASKED)
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self.blocks
         return care
