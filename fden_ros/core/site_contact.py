@@ -16,12 +16,11 @@ from typing import Any
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
-from fden_ros.core.classification.labelling import Answer, Evidence, Labeller, Labelling
+from fden_ros.core.classification.labelling import Answer, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import Onset
 from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.learned_scales import Evidence as DriftEvidence
-from fden_ros.core.estimation.learned_scales import drift_evidence
+from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
 from fden_ros.core.outputs import (
@@ -166,7 +165,7 @@ class Contact:
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
-        self._drift: DriftEvidence | None = None
+        self._drift: Evidence | None = None
 
     @property
     def flags(self) -> Flag:
@@ -312,15 +311,15 @@ class Contact:
         if is_silent:
             return
         yield self._state(stamp_ns, block, strain, phase)
-        evidence = Evidence(
-            stamp_ns=stamp_ns,
+        answers = self._labelling.update(
+            stamp_ns,
+            self._estimate,
+            self._max_strain,
             block=self._common.sums.number,
-            estimate=self._estimate,
-            max_strain=self._max_strain,
             change_count=self.site.change_count,
             is_mismatch=bool(self.flags & Flag.MODEL_MISMATCH),
         )
-        for answer in self._labelling.update(evidence):
+        for answer in answers:
             yield self._classification(stamp_ns, answer)
 
     def _judge(self) -> None:

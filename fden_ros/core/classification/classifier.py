@@ -42,7 +42,6 @@ import numpy as np
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import Prior
 
 UNKNOWN = "unknown"
@@ -205,11 +204,6 @@ def likelihood_of(
     score = np.zeros(mean.shape)
     score[..., :used] = _times(axes, slope) / scale
     return Likelihood(mean, score, information)
-
-
-def likelihood_of_estimate(estimate: Estimate, prior: Prior, order_given: bool) -> Likelihood:
-    """Return what the data behind an estimate say, its prior taken out."""
-    return likelihood_of(estimate.mean, estimate.covariance, prior, order_counts=not order_given)
 
 
 def classify(
