@@ -331,6 +331,7 @@ ROOMS = (
     "core.lift_off",
     "core.site",
     "core.air_after",
+    "core.account",
     "core.site_contact",
     "core.strokes",
     "core.contact_session",

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
+from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.air import least_noise
@@ -26,7 +27,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.site_contact import Common, Contact
+from fden_ros.core.site_contact import Contact
 from fden_ros.core.streams.samples import Pair, Position
 from fden_ros.core.strokes import Strokes
 
