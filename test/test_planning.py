@@ -33,7 +33,7 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact.detector import ContactDetector, Onset
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import ended
-from fden_ros.core.site import origin_of
+from fden_ros.core.origin import origin_of
 from fden_ros.core.streams.samples import Pair
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay

@@ -8,7 +8,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from fden_ros.core.contact.air import SLOW_NS
 from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.outputs import Flag
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
@@ -16,9 +20,9 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 #: At least this number of samples is averaged.
 _LEAST_SAMPLES = 12
-#: It is judged 1 s after the release [ns], and 0.15 s after it was averaged [ns]: a slow contact
-#: that begins before is known by then.
-_JUDGED_AFTER_NS, _AVERAGED_BEFORE_NS = NANOSECONDS, 150_000_000
+#: It is judged when a slow contact that begins behind it is known: 1 s after the release, and
+#: 0.15 s after it was averaged [ns].
+_AVERAGED_BEFORE_NS = 150_000_000
 #: It contradicts the air before the contact beyond this many stated standard deviations.
 _CONTRADICTION = 5.0
 
@@ -40,10 +44,16 @@ class AirChange(NamedTuple):
         """Whether the force has fallen by more than noise and drift explain."""
         return self.deviations < -_CONTRADICTION
 
-    @property
-    def is_contradiction(self) -> bool:
-        """Whether noise and drift do not explain the change."""
-        return abs(self.deviations) > _CONTRADICTION
+    def verdict(self, rig: RigKnowledge | None) -> tuple[Flag, float, Evidence | None]:
+        """Return what it says of the contact: flag, factor of the variance, and of the drift.
+
+        `rig`: what was known before, of which the drift is learned; None: it is not.
+        """
+        drift = drift_evidence(*self) if rig is not None and self.drift_variance else None
+        factor = rig.drift_factor(drift) if rig is not None and drift is not None else 1.0
+        if abs(self.deviations) > _CONTRADICTION:
+            return Flag.FORCE_DRIFTED, max(1.0 + self.deviations**2, factor), drift
+        return Flag.NONE, factor, drift
 
 
 class AirAfter:
@@ -71,7 +81,7 @@ class AirAfter:
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether the contact is to be judged at a stamp."""
-        due_ns = max(self._release_ns + _JUDGED_AFTER_NS, self._end_ns + _AVERAGED_BEFORE_NS)
+        due_ns = max(self._release_ns + SLOW_NS, self._end_ns + _AVERAGED_BEFORE_NS)
         return stamp_ns > due_ns
 
     def is_known(self, until_ns: int) -> bool:

@@ -13,10 +13,8 @@ from fden_ros.core.streams.samples import NANOSECONDS
 
 #: A block is complete at this part of its duration, so that jitter does not add a sample.
 _COMPLETE = 0.95
-#: The probe holds while the compression changes by less than this per second [1/s] ...
+#: The probe holds while the compression changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
-#: ... over the last 10 blocks.
-_RATE_BLOCKS = 10
 
 
 class ContactSample(NamedTuple):
@@ -121,10 +119,10 @@ class BlockSums:
 
 
 class PhaseMeter:
-    """What the probe does, from the compression of the last blocks."""
+    """What the probe does, from the compression of the last 10 blocks."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
+        self._recent: deque[tuple[int, float]] = deque(maxlen=10)
 
     def add(self, stamp_ns: int, compression: float) -> Phase:
         """Take the mean compression of a block that ended at `stamp_ns`; return the phase."""

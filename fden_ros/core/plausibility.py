@@ -61,7 +61,8 @@ _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
-#: Strain from which on a contact is judged before it is over: at less the origin counts.
+#: Strain from which on a contact is judged before it is over, as a press likely has it: at less
+#: the origin counts.
 _LEAST_STRAIN = 0.05
 #: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
 #: cosine is 0.996.
@@ -72,8 +73,8 @@ _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 _GROWTH = 1.1
 #: Least count of samples of a stream that are judged.
 _MIN_SAMPLES = 32
-#: What is likely of a press, for a factor to be named: strain, force [N], strain rate [1/s].
-_LIKELY_STRAIN, _LIKELY_FORCE, _LIKELY_RATE = 0.05, (0.02, 50.0), (0.01, 100.0)
+#: What is likely of a press, for a factor to be named: force [N], strain rate [1/s].
+_LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
 _LENGTHS = {"mm": 1e-3, "mm/10": 1e-4, "cm": 1e-2, "um": 1e-6}
 _FORCES = {"g": 9.80665e-3, "mN": 1e-3}
@@ -209,7 +210,7 @@ class Plausibility:
             return ""
         depth, deepest = geometry.compression(strain), geometry.compression(most)
         values = {name: geometry.strain(depth * factor) for name, factor in _LENGTHS.items()}
-        asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
+        asked = _asked(values, _LENGTHS, _LEAST_STRAIN, most)
         if not asked:
             factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
             then = geometry.strain(depth * factor)

@@ -15,10 +15,11 @@ from dataclasses import replace
 from fden_ros.core.account import Account, Common
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
+from fden_ros.core.estimation.learned_scales import Evidence
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Output
-from fden_ros.core.site import Site, SiteState
+from fden_ros.core.site import Site
+from fden_ros.core.standing import SiteState
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A first contact that stays below this multiple of the release force is faint.
@@ -40,6 +41,26 @@ class State(enum.Enum):
     CLOSED = "nothing more comes of it"
     INTERRUPTED = "samples are missing: states without an estimate until the release"
     FAILED = "by an exception: states that say so until the release"
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether the estimator takes samples."""
+        return self in (State.BACKFILL, State.PRESSING)
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the probe is off the tissue."""
+        return self in (State.RELEASED, State.AIR_CHECK, State.CLOSED)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the probe presses, or the summary is still to come."""
+        return self not in (State.AIR_CHECK, State.CLOSED)
+
+    @property
+    def is_untold(self) -> bool:
+        """Whether no summary has come."""
+        return self.is_learning or self is State.RELEASED
 
 
 class Event(enum.Enum):
@@ -66,43 +87,22 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.FAILED, Event.RELEASE): State.CLOSED,
     **{(s, Event.EXCEPTION): State.FAILED for s in State if s is not State.CLOSED},
 }
-#: The estimator takes samples; no summary has come; the probe is off the tissue.
-_LEARNING = {State.BACKFILL, State.PRESSING}
-_UNTOLD = {*_LEARNING, State.RELEASED}
-_LEFT = {State.RELEASED, State.AIR_CHECK, State.CLOSED}
 
 
 class Contact:
     """One contact: what happens to it is an event of :data:`TRANSITIONS`; a reset drops it.
 
-    Parameters
-    ----------
-    contact_id : int
-    onset : Onset
-    site : Site
-    release_force : float
-        Force below which the probe is no longer pressing [N].
-    common : Common
-    is_air_proved : bool
-        The air behind an earlier contact has shown that the air before is no contact.
+    `is_air_proved`: air behind an earlier contact has shown that the air before is no contact.
     """
 
     def __init__(
-        self,
-        contact_id: int,
-        onset: Onset,
-        site: Site,
-        release_force: float,
-        common: Common,
-        *,
-        is_air_proved: bool = False,
+        self, contact_id: int, onset: Onset, site: Site, common: Common, is_air_proved: bool
     ) -> None:
         self.contact_id, self.onset, self.site = contact_id, onset, site
         self.start_ns = onset.samples[0].stamp_ns
         self.state = State.BACKFILL
         self._common, self._config = common, common.config
         self._account = Account(contact_id, onset, site, common)
-        self._release_force = release_force
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
         self._pace = 1
         # From the release on
@@ -118,20 +118,10 @@ class Contact:
         return self._account.flags
 
     @property
-    def has_left(self) -> bool:
-        """Whether the probe is off the tissue."""
-        return self.state in _LEFT
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the probe presses, or the summary is still to come."""
-        return self.state not in (State.AIR_CHECK, State.CLOSED)
-
-    @property
     def is_faint(self) -> bool:
         """Whether it is the site's first, below 4 release forces: perhaps noise."""
         is_first = self.start_ns == self.site.start_ns
-        is_weak = self._account.max_force < _FAINT * self._release_force
+        is_weak = self._account.max_force < _FAINT * self.onset.release_force
         return is_first and is_weak and self.site.state is not SiteState.FAILED
 
     @property
@@ -139,10 +129,6 @@ class Contact:
         """Whether air behind a contact, up to this one, has been compared with that before."""
         is_judged = self.state is State.CLOSED and self._air is not None
         return self._was_air_proved or is_judged
-
-    @property
-    def _is_learning(self) -> bool:
-        return self.state in _LEARNING
 
     def _may(self, event: Event) -> bool:
         return (self.state, event) in TRANSITIONS
@@ -156,7 +142,7 @@ class Contact:
         """Begin on the site, as :meth:`~.site.Site.touch` takes it, with what comes before."""
         samples, common = self.onset.samples, self._common
         if self.site.state is not SiteState.FAILED:
-            self.site.touch(self.onset, self._release_force, noise, before)
+            self.site.touch(self.onset, noise, before)
             self._behind.extend(samples)
         common.plausibility.begin(self.onset)
         common.sums.restart(self.start_ns)
@@ -191,7 +177,7 @@ class Contact:
             yield from self._follow(pair, is_silent=bool(behind))
 
     def _follow(self, pair: Pair, *, is_silent: bool = False) -> Iterable[Output]:
-        learns, sums = self._is_learning, self._common.sums
+        learns, sums = self.state.is_learning, self._common.sums
         elapsed = (pair.stamp_ns - self.start_ns) / NANOSECONDS
         force = pair.force - self.onset.bias - self.onset.drift * elapsed
         sample = self.site.follow(pair, force, learns=learns)
@@ -214,7 +200,7 @@ class Contact:
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
         """Take note that samples are missing since a stamp; a long gap interrupts."""
-        if self.has_left:
+        if self.state.has_left:
             return
         self._account.skip()
         self.site.flags |= Flag.GAP
@@ -281,9 +267,9 @@ class Contact:
         self._behind.clear()
         self._air = None
         self._go(Event.EXCEPTION)
-        if before in _LEFT:
+        if before.has_left:
             self._go(Event.RELEASE)
-        if before in _UNTOLD:
+        if before.is_untold:
             yield self._account.summary(stamp_ns, stamp_ns, complete=False)
 
     # The air behind
@@ -316,17 +302,13 @@ class Contact:
         found, site, was_observed = self._air.change(), self.site, self.site.is_observed
         if found is None:
             return
-        factor, flag = 1.0, Flag.NONE
         if found.has_fallen and not self._was_air_proved:
             # What was taken for the first air was a contact: there is no origin, nor a history.
             site.withdraw()
         else:
-            if self._config.learns_drift and site.teaches and found.drift_variance:
-                drift = drift_evidence(*found)
-                factor = site.known_rig.drift_factor(drift)
-                self._drift = drift if self._is_claimed else None
-            if found.is_contradiction:
-                flag, factor = Flag.FORCE_DRIFTED, max(1.0 + found.deviations**2, factor)
+            teaches = self._config.learns_drift and site.lessons.count
+            flag, factor, drift = found.verdict(site.lessons.known if teaches else None)
+            self._drift = drift if self._is_claimed else None
             if factor == 1.0:
                 return
             if was_observed:

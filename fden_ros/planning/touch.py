@@ -13,18 +13,11 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.air import CHUNK_NS
-from fden_ros.core.contact.detector import (
-    AMPLE_EVIDENCE,
-    CLEAR_DEVIATIONS,
-    LASTING_TIME,
-    LONG_WINDOW,
-    MIN_EVIDENCE,
-    RETRY,
-    Onset,
-)
+from fden_ros.core.contact.air import CHUNK_NS, CLEAR_DEVIATIONS
+from fden_ros.core.contact.approach import LASTING_TIME
+from fden_ros.core.contact.detector import AMPLE_EVIDENCE, LONG_WINDOW, MIN_EVIDENCE, RETRY, Onset
 from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
-from fden_ros.core.site import origin_of
+from fden_ros.core.origin import origin_of
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 from fden_ros.planning.motion import Motion, Sensors
 

@@ -37,8 +37,6 @@ LEAST_SURROUNDINGS = 4
 _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 #: Tissue that varies less is not believed.
 _LEAST_SD = 0.02
-#: Standard deviation of a normal variable over the median of its magnitude.
-_MEDIAN_TO_SD = 1.4826
 #: Turns of the fixed point for mean, spread and share: after half as many nothing moves by
 #: more than 5 %.
 _ITERATIONS = 30
@@ -131,7 +129,8 @@ def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | Non
     if values.size < LEAST_SURROUNDINGS:
         return None
     mean = float(np.median(values))
-    natural = (_MEDIAN_TO_SD * float(np.median(np.abs(values - mean)))) ** 2
+    # The deviation of a normal variable is 1.4826 medians of its magnitude.
+    natural = (1.4826 * float(np.median(np.abs(values - mean)))) ** 2
     foreign = _FOREIGN
     for _ in range(_ITERATIONS):
         natural = max(natural, _LEAST_SD**2)

@@ -258,10 +258,9 @@ MIN_CHUNKS = 5
 #: noise may come out so small that noise looks like a contact.
 _MIN_AIR_SAMPLES = 48
 _ENOUGH_CHUNKS = 12
-#: The air is remembered for at least 24 chunks, however slow the sensor.
-_LEAST_REMEMBERED = 2 * _ENOUGH_CHUNKS
-#: Chunks of the newest second [ns] may hold the beginning of a slow contact: they do not count.
-_LAG_NS = NANOSECONDS
+#: A slow contact is told within 1 s [ns] of its beginning, which chunks of the newest second may
+#: hold: they do not count.
+SLOW_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
 _AIR_EVERY = 8
 #: From half of what is a contact on, a slow one may be on: the baseline stands still and the air
@@ -274,11 +273,10 @@ _SWING_FACTOR = 2.2
 #: How far the bias wanders after it was measured is a mean over so many looks, 8 chunks apart: a
 #: minute of chunks of 20 ms. So many that showed nothing are taken to lie before the first.
 _REMEMBERED_WANDER, _UNSEEN_WANDER = 375, 60
-#: The noise counts as coloured when the variance of the chunks' means exceeds that of white noise
-#: by more than 4 of its standard deviations.
-_COLOUR_DEVIATIONS = 4.0
-#: A trend of the force in the air counts as drift from 4 of its standard deviations.
-_DRIFT_DEVIATIONS = 4.0
+#: From 4 standard deviations on a sample clearly is not the air's, the noise counts as coloured
+#: (by how far the variance of the chunks' means exceeds that of white noise), and a trend of the
+#: force in the air as drift.
+CLEAR_DEVIATIONS = 4.0
 
 #: Standard deviation of what is rounded off, in steps; noise of less than 0.6 steps, that of
 #: the rounding included, does not make it white.
@@ -327,9 +325,8 @@ class Baseline:
     @property
     def reach_ns(self) -> int:
         """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
-        reach_ns = max(
-            round(self._config.lookback * NANOSECONDS), _LEAST_REMEMBERED * self._chunk_ns
-        )
+        stated_ns = round(self._config.lookback * NANOSECONDS)
+        reach_ns = max(stated_ns, 2 * _ENOUGH_CHUNKS * self._chunk_ns)
         return reach_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
 
     def mean(self) -> float | None:
@@ -399,14 +396,14 @@ class Baseline:
             air = _air_of(chunks)
             self._thresholds = self._thresholds_in(chunks, air, chunk.size)
             return air
-        is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
+        is_new = chunks[-1].end_ns - chunks[0].start_ns < SLOW_NS
         if self._is_carried and self._air is not None and is_new and self.is_rising(chunk):
             return self._air
         # Not while a slow contact may be on, or the baseline would creep along with it.
         is_due = not self.is_suspected and self._count % _AIR_EVERY == 0
         if self._air is None or self._is_carried or is_due:
             self._is_carried = False
-            newest_ns = chunk.start_ns - _LAG_NS
+            newest_ns = chunk.start_ns - SLOW_NS
             old = tuple(c for c in chunks if c.end_ns <= newest_ns)
             old = max(old, chunks[: -(-len(chunks) // 2)], key=len)
             self._air = _air_of(old)
@@ -520,7 +517,7 @@ def _noise_of_means(chunks: tuple[Chunk, ...], air: Air) -> float:
     means, steps = np.array([chunk.mean for chunk in chunks]), [chunk.step for chunk in chunks]
     while True:
         at_scale = math.sqrt(0.5 * size * float(np.var(steps)))
-        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / len(steps))):
+        if at_scale > noise * (1.0 + CLEAR_DEVIATIONS * math.sqrt(0.75 / len(steps))):
             noise = at_scale
         if means.size < MIN_CHUNKS:
             return noise
@@ -542,7 +539,7 @@ def _level_at_end(chunks: tuple[Chunk, ...], air: Air, noise: float) -> Level:
     spread = float(weight @ (time - centre) ** 2)
     slope = float(weight @ ((time - centre) * (force - air.mean)) / spread)
     slope_sd = noise / math.sqrt(spread)
-    if abs(slope) < _DRIFT_DEVIATIONS * slope_sd:
+    if abs(slope) < CLEAR_DEVIATIONS * slope_sd:
         return level
     sd = math.hypot(level.sd, slope_sd * centre)
     return Level(air.mean - slope * centre, sd, noise, slope, slope_sd)

@@ -24,8 +24,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.law.layer import TERMS, hayes_factor, sphere_series
 from fden_ros.core.parameter import TINY, parameter
 
-#: The most that a flat punch reaches in thicknesses, and a sphere on a thick tissue in radii [1].
-_DEEPEST_FLAT, _DEEPEST_SPHERE = 1.0, 4.64
+#: The most that a sphere reaches on a thick tissue, in radii [1].
+_DEEPEST_SPHERE = 4.64
 #: sqrt(R d) / h up to which the series of a sphere on a layer holds [1].
 _THINNEST = 2.0
 
@@ -156,7 +156,7 @@ class FlatPunch(Geometry):
     @property
     def most_strain(self) -> float:
         """It cannot go deeper than the tissue is thick."""
-        return _DEEPEST_FLAT
+        return 1.0
 
     @property
     def probe_radius(self) -> float:
@@ -336,8 +336,6 @@ class PassThrough(Geometry):
 
 
 _KINDS = FlatPunch, Sphere, TorsionalRheometer, PassThrough
-#: Sizes that stand in for those that are not stated [m^2, m].
-_AREA, _THICKNESS, _RADIUS = 1e-4, 0.02, 0.005
 
 
 @dataclass(frozen=True)
@@ -404,8 +402,7 @@ class GeometryConfig:
 
         It is not stated where a size that its kind needs is 0; another one stands in for it.
         """
-        area, radius = self.area or _AREA, self.radius or _RADIUS
-        thickness = self.thickness or _THICKNESS
+        area, radius, thickness = self.area or 1e-4, self.radius or 0.005, self.thickness or 0.02
         has_thickness, has_radius = self.thickness > 0.0, self.radius > 0.0
         if self.kind == Sphere.kind:
             depth = self.thickness or math.inf

@@ -123,11 +123,19 @@ class Frames:
         return next((f for f in self._wanted() if self._ancestors(f)[-1] != found), "")
 
     @property
-    def known(self) -> tuple[str, ...]:
-        """The frames that transforms have named."""
+    def problem(self) -> str:
+        """What is wrong where a frame does not lead to the base, in words; or empty."""
+        missing = self.missing
+        if not missing:
+            return ""
         links = {child: link.parent for child, link in self._links.items()}
         links |= {child: parent for child, (parent, _) in self._statics.items()}
-        return tuple(sorted({*links, *links.values()}))
+        known = ", ".join(sorted({*links, *links.values()})) or "none"
+        return (
+            f"no chain of transforms leads from {missing} to {self._config.base}: /tf and "
+            f"/tf_static name {known}; set frames.base and frames.probe to frames that are "
+            "connected"
+        )
 
     def add_transform(
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool

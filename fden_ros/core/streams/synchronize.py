@@ -29,9 +29,6 @@ from fden_ros.core.streams.samples import (
 )
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
-#: The median of the magnitude of a normal variable, by which noise is measured, in standard
-#: deviations.
-_MEDIAN_OF_NORMAL = 0.6745
 #: Variance of what is rounded off, in squares of a step: four times that of a single value,
 #: since it stays over several samples while the probe moves (six in a press at 4 mm/s by an
 #: encoder of 50 um at 500 Hz).
@@ -328,6 +325,7 @@ def _noise_of(samples: deque[Sample]) -> float:
     fraction = step[:-1] / (step[:-1] + step[1:])
     apart = value[1:-1] - (1.0 - fraction) * value[:-2] - fraction * value[2:]
     scale = np.sqrt(1.0 + fraction**2 + (1.0 - fraction) ** 2)
-    sd = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    # The median of a normal variable's magnitude is 0.6745 deviations.
+    sd = float(np.median(np.abs(apart / scale))) / 0.6745
     rounding = _ROUNDING_VARIANCE * samples[-1].resolution ** 2
     return max(sd**2, rounding) * float(np.median(step))
