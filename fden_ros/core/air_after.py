@@ -61,7 +61,6 @@ class AirAfter:
 
     Parameters
     ----------
-    onset : Onset
     release_ns : int
         When the probe has left.
     drift_sd : float

@@ -34,8 +34,6 @@ def apparent_stiffness_of(
 
     Parameters
     ----------
-    estimate : Estimate or None
-    geometry : Geometry
     compression : float or None
         From the nominal origin [1].
     stress : float

@@ -38,7 +38,6 @@ class ContactSession:
 
     Parameters
     ----------
-    config : PipelineConfig
     rejected : collections.Counter
         Counts of rejected samples so far.
     path_noise : callable

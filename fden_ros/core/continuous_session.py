@@ -68,44 +68,45 @@ class _MeanPosition:
         return x, y, z
 
 
-class Window:
-    """The samples of one window of the palpation."""
+class Stretch:
+    """What is gathered over some time: of a window of the palpation, or of a place."""
 
-    def __init__(self) -> None:
-        self.samples = self.stop_ns = self.start_ns = 0
+    def __init__(self, start_ns: int) -> None:
+        self.start_ns = self.end_ns = start_ns
+        self.samples = 0
         self.max_force = 0.0
         self.position = _MeanPosition()
+
+    def _add(self, end_ns: int, samples: int, force: float, position: Position | None) -> None:
+        self.end_ns = end_ns
+        self.samples += samples
+        self.max_force = max(self.max_force, force)
+        self.position.add(position)
+
+
+class Window(Stretch):
+    """The samples of one window of the palpation."""
 
     def take(self, pair: Pair) -> None:
         """Take a sample."""
-        self.start_ns = self.start_ns or pair.stamp_ns
-        self.stop_ns = pair.stamp_ns
-        self.samples += 1
-        self.max_force = max(self.max_force, pair.force)
-        self.position.add(pair.position)
+        self._add(pair.stamp_ns, 1, pair.force, pair.position)
 
 
-class Place:
+class Place(Stretch):
     """What is gathered at one place of the path."""
 
-    def __init__(self, number: int, start_ns: int, position: Position | None) -> None:
+    def __init__(self, number: int, window: Window, rejected: int) -> None:
+        super().__init__(window.start_ns)
         self.number = number
-        self.start_ns = self.end_ns = start_ns
-        self.first = position
-        self.samples = 0
-        self.max_force = 0.0
+        self.first = window.position.value
         self.flags = Flag.ORIGIN_UNCERTAIN
-        self.rejected = 0
+        self.rejected = rejected  #: samples before it
         self.found: Palpated | None = None
-        self.position = _MeanPosition()
 
     def take(self, window: Window, found: Palpated | None) -> None:
         """Take a window of this place."""
-        self.end_ns = window.stop_ns
-        self.samples += window.samples
-        self.max_force = max(self.max_force, window.max_force)
+        self._add(window.end_ns, window.samples, window.max_force, window.position.value)
         self.found = found if found is not None else self.found
-        self.position.add(window.position.value)
 
 
 class ContinuousSession:
@@ -113,7 +114,6 @@ class ContinuousSession:
 
     Parameters
     ----------
-    config : PipelineConfig
     rejected : collections.Counter
         Counts of rejected samples so far.
 
@@ -161,7 +161,7 @@ class ContinuousSession:
         )
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
-        self._window = Window()
+        self._window = Window(0)
 
     def forget_rig(self) -> None:
         """Do nothing: nothing was learned of the rig."""
@@ -207,8 +207,8 @@ class ContinuousSession:
         measured = self._meter.add(time, displacement, pair.force)
         if measured is not None:
             outputs += self._close_window(measured, pair.stamp_ns)
-        if self._meter.begins_window:
-            self._window = Window()
+        if self._meter.begins_window or not self._window.samples:
+            self._window = Window(pair.stamp_ns)
         self._window.take(pair)
         if self._blocks.passes(pair.stamp_ns):
             outputs.append(self._state(pair.stamp_ns, time, displacement))
@@ -237,8 +237,7 @@ class ContinuousSession:
             outputs = self._leave(stamp_ns, complete=True)
             self.site_count += 1
             self._meter.move_on()
-            place = self._place = Place(self.site_count, window.start_ns, position)
-            place.rejected = self._rejected.total()
+            place = self._place = Place(self.site_count, window, self._rejected.total())
         place.take(window, found)
         return outputs
 

@@ -88,7 +88,6 @@ def input_warnings(
 
     Parameters
     ----------
-    config : SynchronizeConfig
     synchronizer, direction
         What saw the samples.
     air_events : tuple of int

@@ -28,10 +28,6 @@ _SLACK = 0.125
 class MeasuredContacts:
     """Measures the stiffness, and keeps that of the newest contacts.
 
-    Parameters
-    ----------
-    config : PipelineConfig
-
     Attributes
     ----------
     unseen : BothWays

@@ -22,7 +22,6 @@ class Outlet:
         Called with every output; what it raises is not caught.
     rejected : collections.Counter
         Counts of rejected samples so far.
-    measured : MeasuredContacts
     """
 
     def __init__(

@@ -107,7 +107,6 @@ class FractionalStressEstimator(Estimator):
 
     Parameters
     ----------
-    config : EstimatorConfig
     geometry : Geometry
         For the strain at a compression.
     noise_sd : float

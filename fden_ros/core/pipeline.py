@@ -36,7 +36,6 @@ class Pipeline:
 
     Parameters
     ----------
-    config : PipelineConfig
     emit : callable
         Called with every output, in order of stamps. What it raises is not caught.
     """

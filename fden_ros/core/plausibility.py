@@ -100,12 +100,7 @@ def stands_against(geometry: Geometry) -> str:
 
 
 class Tilt:
-    """Tells of probes that touch askew, and what it costs.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    """
+    """Tells of probes that touch askew, and what it costs."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
@@ -133,8 +128,6 @@ class Plausibility:
 
     Parameters
     ----------
-    config : PlausibilityConfig
-    geometry : Geometry
     prior : Prior
         Of the tissue.
 

@@ -39,7 +39,6 @@ class Sites:
 
         Parameters
         ----------
-        onset : Onset
         left_unseen_ns : int or None
             When the probe may have left a tissue unseen.
         rig : RigKnowledge

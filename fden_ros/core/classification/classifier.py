@@ -65,7 +65,6 @@ class Tissue:
 
     Parameters
     ----------
-    name : str
     mean : ndarray, shape (3,)
         Of (ln G, ln Gn, alpha), G in Pa s^alpha.
     covariance : ndarray, shape (3, 3)
@@ -90,9 +89,6 @@ class TissueLibrary:
 
     Parameters
     ----------
-    name : str
-    tissues : tuple of Tissue
-    unknown : Tissue
     units : str
         Unit of the stress behind G: ``Pa``, or ``N`` where it is a force.
     geometry : str
@@ -213,7 +209,6 @@ def classify(
 
     Parameters
     ----------
-    library : TissueLibrary
     likelihood : Likelihood
         Of one place.
     significance : float
@@ -238,7 +233,6 @@ def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array,
 
     Parameters
     ----------
-    library : TissueLibrary
     likelihood : Likelihood
         Leading axes (...).
 

@@ -68,10 +68,6 @@ class DecisionConfig:
 class Decider:
     """The label of one contact.
 
-    Parameters
-    ----------
-    config : DecisionConfig
-
     Examples
     --------
     >>> decider = Decider(DecisionConfig())
@@ -97,8 +93,6 @@ class Decider:
 
         Parameters
         ----------
-        stamp_ns : int
-        classes : ClassProbabilities
         last : bool
             No more probabilities come: another answer replaces the label at once.
         """
@@ -209,8 +203,6 @@ class Labelling:
 
     Parameters
     ----------
-    labeller : Labeller
-    site_id : int
     position : tuple of float or None
         Of the site [m].
     start_ns : int
@@ -248,8 +240,6 @@ class Labelling:
 
         Parameters
         ----------
-        stamp_ns : int
-        estimate : Estimate or None
         max_strain : float
             So far [1].
         block : int

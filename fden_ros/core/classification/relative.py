@@ -168,7 +168,6 @@ class Surroundings:
 
     Parameters
     ----------
-    config : RelativeConfig
     time_scale : float
         tau of the stiffness [s].
     axis : tuple of float

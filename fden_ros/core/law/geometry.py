@@ -39,36 +39,16 @@ class Strains(NamedTuple):
 
 
 class Geometry(ABC):
-    """A contact geometry: strain is a power of the compression, or a series of powers.
+    """A contact geometry: strain is a power of the compression, or a series of powers."""
 
-    Attributes
-    ----------
-    kind : str
-        Its name in parameters and libraries.
-    unit : str
-        Of what is measured as the force.
-    exponent : float
-        Of that power, the first [1].
-    series : tuple of float
-        By what factor a layer strains more: 1 + sum of c_k u^(k/2), k from 1 [1].
-    is_one_sided : bool
-        The tissue lets go of the probe, and cannot pull at it.
-    most_strain : float
-        The largest that is plausible [1].
-    size_gain : float
-        By how much more than a thickness or radius G and Gn are off, where that is [1].
-    example : str
-        How it is stated in a parameter file.
-    is_stated : bool
-        Whether its sizes are those of a probe, not numbers that stand in for them: else nothing
-        can be converged.
-    """
-
-    kind: ClassVar[str]
-    unit: ClassVar[str] = "N"
-    exponent: ClassVar[float] = 1.0
-    is_one_sided: ClassVar[bool] = True
+    kind: ClassVar[str]  #: its name in parameters and libraries
+    unit: ClassVar[str] = "N"  #: of what is measured as the force
+    exponent: ClassVar[float] = 1.0  #: of that power, the first [1]
+    is_one_sided: ClassVar[bool] = True  #: the tissue lets go of the probe, and cannot pull at it
+    #: How it is stated in a parameter file.
     example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
+    #: Whether its sizes are those of a probe, not numbers that stand in for them: else nothing can
+    #: be converged.
     is_stated: bool
 
     @property
@@ -88,7 +68,7 @@ class Geometry(ABC):
 
     @property
     def series(self) -> tuple[float, ...]:
-        """Coefficients of the factor by which a layer strains more [1]."""
+        """The c of the factor by which a layer strains more, 1 + sum of c_k u^(k/2), k from 1."""
         return (0.0,) * TERMS
 
     @property

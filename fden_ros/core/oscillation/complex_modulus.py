@@ -78,7 +78,6 @@ class Phasors(NamedTuple):
 
     strain: ComplexArray  #: (n,)
     stress: ComplexArray  #: (n,)
-    stress_sd: float  #: standard deviation of either part of a stress, the largest [Pa]
 
 
 class ComplexModulusMeter:
@@ -135,7 +134,7 @@ class ComplexModulusMeter:
         self._start = self._stop = math.nan
         self._samples = 0
         none = np.zeros(len(frequencies), dtype=complex)
-        self.phasors = Phasors(none, none, math.inf)
+        self.phasors = Phasors(none, none)
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""
@@ -196,8 +195,7 @@ class ComplexModulusMeter:
         variances = left / dof
         sines = solution[_TREND:, 1]
         pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
-        largest = float(inverse.diagonal()[_TREND:].max())
-        self.phasors = Phasors(pairs[:, 0], pairs[:, 1], math.sqrt(largest * variances[1]))
+        self.phasors = Phasors(pairs[:, 0], pairs[:, 1])
         results = []
         for index, omega in enumerate(self.angular_frequencies):
             place = _TREND + 2 * index

@@ -64,7 +64,6 @@ def palpated(
         Of the palpation [rad/s, m].
     time_scale : float
         tau [s].
-    config : EstimatorConfig
     samples : int
         Behind the measurement.
     grows : bool

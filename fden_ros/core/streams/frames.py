@@ -58,8 +58,8 @@ class FramesConfig:
     tool: ToolWeight | None = None
 
 
-class StaticLinks(dict[str, tuple[str, Transform]]):
-    """By the name of a frame, its parent and where it is in it, at all times."""
+#: By the name of a frame, its parent and where it is in it, at all times.
+StaticLinks = dict[str, tuple[str, Transform]]
 
 
 class _Link:
@@ -77,7 +77,6 @@ class Frames:
 
     Parameters
     ----------
-    config : FramesConfig
     make_join : callable
         Makes the guard of a link's transforms and what lets forces wait for them.
     statics : StaticLinks

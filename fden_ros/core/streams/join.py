@@ -37,14 +37,12 @@ class Around(NamedTuple):
     @property
     def value(self) -> float:
         """Value at the instant, linear in between."""
-        before, after, fraction = self
-        return before.value + fraction * (after.value - before.value)
+        return self.before.value + self.fraction * (self.after.value - self.before.value)
 
     @property
     def load(self) -> float:
         """Load at the instant, linear in between."""
-        before, after, fraction = self
-        return before.load + fraction * (after.load - before.load)
+        return self.before.load + self.fraction * (self.after.load - self.before.load)
 
     @property
     def position(self) -> Position | None:
@@ -116,7 +114,6 @@ class Join:
 
     Parameters
     ----------
-    limits : JoinLimits
     lead_guard, follow_guard : StreamGuard
         Have accepted the samples; rejected leading samples are counted by theirs.
     on_match : callable

@@ -96,7 +96,6 @@ class Synchronizer:
 
     Parameters
     ----------
-    config : SynchronizeConfig
     on_pair : callable
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter

@@ -49,10 +49,6 @@ class ToolPath:
 
     Steps are projected on the axis of their time, so that a turn far from the origin
     adds nothing.
-
-    Parameters
-    ----------
-    config : ToolPathConfig
     """
 
     def __init__(self, config: ToolPathConfig) -> None:
