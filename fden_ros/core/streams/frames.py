@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import Around, Join, Matched
 from fden_ros.core.streams.rotation import (
     Transform,
@@ -68,7 +67,6 @@ class _Link:
     def __init__(self, parent: str) -> None:
         self.parent = parent
         self.kept: deque[tuple[int, Transform]] = deque(maxlen=_MOST_KEPT)
-        self.guard: StreamGuard | None = None
         self.join: Join | None = None
 
 
@@ -78,7 +76,7 @@ class Frames:
     Parameters
     ----------
     make_join : callable
-        Makes the guard of a link's transforms and what lets forces wait for them.
+        Makes what lets forces wait for a link's transforms.
     statics : StaticLinks
         Those known by now; added to.
 
@@ -93,7 +91,7 @@ class Frames:
     def __init__(
         self,
         config: FramesConfig,
-        make_join: Callable[[], tuple[StreamGuard, Join]],
+        make_join: Callable[[], Join],
         statics: StaticLinks,
     ) -> None:
         self._config, self._make_join = config, make_join
@@ -202,9 +200,8 @@ class Frames:
         self._chain = tuple(frame for frame in frames if frame in self._links)
         self.is_known = True
         for child in self._chain:
-            link = self._links[child]
-            link.guard, link.join = self._make_join()
-            self.joins.append(link.join)
+            join = self._links[child].join = self._make_join()
+            self.joins.append(join)
         for child, link in self._links.items():
             kept, link.kept = link.kept, deque(maxlen=1)
             if child in self._chain:
@@ -212,11 +209,10 @@ class Frames:
                     self._follow(link, stamp_ns, transform)
 
     def _follow(self, link: _Link, stamp_ns: int, transform: Transform) -> None:
-        assert link.guard is not None and link.join is not None
-        x, y, z = transform.translation
-        link.join.follow(
-            link.guard.accept(stamp_ns, x + y + z, transform.translation, turn=transform.rotation)
-        )
+        assert link.join is not None
+        place, turn = transform
+        x, y, z = place
+        link.join.follow(stamp_ns, x + y + z, place, turn=turn)
 
     # At an instant
 

@@ -11,11 +11,12 @@ the same matches.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position, Sample
 
 #: The noise of a stream is measured over its last 256 samples.
@@ -114,8 +115,10 @@ class Join:
 
     Parameters
     ----------
-    lead_guard, follow_guard : StreamGuard
-        Have accepted the samples; rejected leading samples are counted by theirs.
+    lead_guard : StreamGuard
+        Has accepted the leading samples, and counts those that are rejected here.
+    follow_guard : StreamGuard
+        Accepts the following ones.
     on_match : callable
         Called in order with each leading sample and what it has been matched with, this stream
         last.
@@ -152,10 +155,17 @@ class Join:
         self._bound_leading(sample)
         self._match()
 
-    def follow(self, samples: Iterable[Sample]) -> None:
-        """Take accepted samples of the following stream."""
+    def follow(
+        self,
+        stamp_ns: int,
+        value: float,
+        position: Position | None = None,
+        load: float = 0.0,
+        turn: Quaternion | None = None,
+    ) -> None:
+        """Take a sample of the following stream, if its guard accepts it."""
         delay_ns = self._limits.delay_ns
-        for sample in samples:
+        for sample in self._follow_guard.accept(stamp_ns, value, position, load, turn):
             if delay_ns:
                 sample = sample._replace(stamp_ns=sample.stamp_ns - delay_ns)
             self._following.append(sample)

@@ -124,18 +124,15 @@ class Synchronizer:
             "displacement",
             is_vector=config.tool_path is not None,
         )
-        self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._displacements = Join(
-            self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
-            self.force_guard,
+        self._displacements = self._join(
             self.displacement_guard,
-            self._advance,
+            config.displacement_delay,
+            Reason.UNPAIRED,
+            Reason.DISPLACEMENT_GAP,
         )
-        self._surfaces = Join(
-            self._limits(config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP),
-            self.force_guard,
-            self.surface_guard,
-            self._advance,
+        guard = StreamGuard(config.displacement_limit, rejected, "surface")
+        self._surfaces = self._join(
+            guard, config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP
         )
         self.frames: Frames | None = None
         self._moves_probe = False  # the transforms give the displacement
@@ -144,7 +141,7 @@ class Synchronizer:
         if config.frames is not None:
             self._moves_probe = config.frames.moves_probe
             known = statics if statics is not None else StaticLinks()
-            self.frames = Frames(config.frames, self._transforms, known)
+            self.frames = Frames(config.frames, self._link, known)
         self._joins: list[Join] = []  # in the order in which a force waits for them
         if self.frames is None:
             self._order_joins()
@@ -155,22 +152,23 @@ class Synchronizer:
         last = [self._surfaces] if self._config.takes_surface else []
         self._joins = [*first, *links, *last]
 
-    def _transforms(self) -> tuple[StreamGuard, Join]:
-        """Return the guard of a link between frames, and what lets forces wait for it."""
+    def _link(self) -> Join:
+        """Return what lets forces wait for a link between frames."""
         config = self._config
         guard = StreamGuard(config.displacement_limit, self._rejected, "transform", is_vector=True)
         delay = config.displacement_delay
-        limits = self._limits(delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
-        return guard, Join(limits, self.force_guard, guard, self._advance)
+        return self._join(guard, delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
 
-    def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
-        return JoinLimits(
+    def _join(self, guard: StreamGuard, delay: float, unpaired: str, gap: str) -> Join:
+        """Return what lets forces wait for a stream whose stamps lag by `delay` [s]."""
+        limits = JoinLimits(
             max_gap_ns=round(self._config.max_gap * NANOSECONDS),
             window_ns=round(self._config.pairing_window * NANOSECONDS),
             delay_ns=round(delay * NANOSECONDS),
             unpaired=unpaired,
             gap=gap,
         )
+        return Join(limits, self.force_guard, guard, self._advance)
 
     @property
     def waiting(self) -> int:
@@ -222,14 +220,12 @@ class Synchronizer:
 
         `load` [N] is what the sensor measures there without any contact.
         """
-        self._displacements.follow(
-            self.displacement_guard.accept(stamp_ns, displacement, position, load, turn)
-        )
+        self._displacements.follow(stamp_ns, displacement, position, load, turn)
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         """Add a place of the tissue's surface, along the displacement [m]."""
         if self._config.takes_surface:
-            self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
+            self._surfaces.follow(stamp_ns, surface)
 
     def _lead(self, forces: tuple[Sample, ...], frame: str = "") -> None:
         for force in forces:
