@@ -49,17 +49,11 @@ class Common:
 
 
 class Account:
-    """What is told of one contact, from the touch on.
-
-    Attributes
-    ----------
-    max_force : float
-        The largest so far [N].
-    """
+    """What is told of one contact, from the touch on."""
 
     def __init__(self, contact_id: int, onset: Onset, site: Site, common: Common) -> None:
         config = common.config
-        self.max_force = 0.0
+        self.max_force = 0.0  #: the largest so far [N]
         self._contact_id, self._site = contact_id, site
         self._position, self._start_ns = onset.samples[0].position, onset.samples[0].stamp_ns
         self._common, self._config = common, config

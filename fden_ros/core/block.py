@@ -50,11 +50,6 @@ class BlockSums:
         A block is complete after this [s] ...
     compression : float
         ... or when the compression has changed by more than this within [1].
-
-    Attributes
-    ----------
-    number : int
-        Of the last complete block.
     """
 
     def __init__(self, duration: float, compression: float) -> None:
@@ -64,7 +59,7 @@ class BlockSums:
 
     def forget(self) -> None:
         """Drop all samples, and number the blocks anew."""
-        self.number = 0
+        self.number = 0  #: of the last complete block
         self.restart(0)
 
     def clear(self) -> None:

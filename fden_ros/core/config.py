@@ -26,18 +26,11 @@ _SITE_PART, _LEAST_SITE, _LARGEST_SITE = 0.2, 5e-4, 2e-3
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """Configuration of all steps; times in seconds, SI units throughout.
+    """Configuration of all steps; times in seconds, SI units throughout."""
 
-    Parameters
-    ----------
-    library : TissueLibrary or None
-        Tissues to classify into; None: nothing is classified.
-    geometry : Geometry
-        From force and displacement to stress and strain. It must be stated: with the default
-        nothing is converged.
-    """
-
-    library: TissueLibrary | None
+    library: TissueLibrary | None  #: tissues to classify into; None: nothing is classified
+    #: From force and displacement to stress and strain. It must be stated: with the default
+    #: nothing is converged.
     geometry: Geometry = field(default_factory=lambda: GeometryConfig().build())
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)

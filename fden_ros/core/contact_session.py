@@ -44,13 +44,6 @@ class ContactSession:
         Returns the noise of the motion so far [m^2 s].
     flags : Flag
         What stands against every estimate.
-
-    Attributes
-    ----------
-    contact_count : int
-        So far.
-    rig : RigKnowledge
-        What is known of the rig.
     """
 
     def __init__(
@@ -60,7 +53,7 @@ class ContactSession:
         path_noise: Callable[[], float],
         flags: Flag,
     ) -> None:
-        self.contact_count = 0
+        self.contact_count = 0  #: so far
         self._config, self._path_noise, self._flags = config, path_noise, flags
         self._sites = Sites(config, flags)
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
@@ -93,7 +86,7 @@ class ContactSession:
 
     def forget_rig(self) -> None:
         """Let the next site begin with what is stated of the rig."""
-        self.rig = RigKnowledge.stated(self._config.estimator)
+        self.rig = RigKnowledge.stated(self._config.estimator)  #: what is known of the rig
         # These began with what is forgotten now.
         newest = [self._contact.site] if self._contact is not None else []
         for site in (*self._sites.visited, *newest):

@@ -116,13 +116,6 @@ class ContinuousSession:
     ----------
     rejected : collections.Counter
         Counts of rejected samples so far.
-
-    Attributes
-    ----------
-    site_count : int
-        Places so far: number of the newest.
-    rig : RigKnowledge
-        What is stated of the rig: nothing is learned.
     """
 
     #: No touch is looked for.
@@ -131,7 +124,8 @@ class ContinuousSession:
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected
-        self.site_count = 0
+        self.site_count = 0  #: places so far: number of the newest
+        #: What is stated of the rig: nothing is learned.
         self.rig = RigKnowledge.stated(config.estimator)
         self._place: Place | None = None
         # A sphere's modulus would need its depth.

@@ -130,20 +130,15 @@ class Plausibility:
     ----------
     prior : Prior
         Of the tissue.
-
-    Attributes
-    ----------
-    counts : Counter
-        Contacts that were found implausible, by the kind of reason.
-    standing : str
-        Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
     """
 
     def __init__(self, config: PlausibilityConfig, geometry: Geometry, prior: Prior) -> None:
         self._config, self._geometry, self._prior = config, geometry, prior
+        #: Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
         self.standing = stands_against(geometry)
         self._low, self._high = _stiffness_range(geometry, prior)
         self._words: dict[str, str] = {}
+        #: Contacts that were found implausible, by the kind of reason.
         self.counts: Counter[str] = Counter()
         self._start_ns = 0
         self._step = 0.0

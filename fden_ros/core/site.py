@@ -57,8 +57,6 @@ class Site(Standing):
 
     Attributes
     ----------
-    position : Position or None
-        Of the first touch [m].
     origin, origin_sd : float
         Nominal displacement at zero strain [m]; its standard deviation, as compression [1].
     """
@@ -70,7 +68,7 @@ class Site(Standing):
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
-        self.position = first.position
+        self.position = first.position  #: of the first touch [m]
         self.lessons = Lessons(config, rig)
         self._config = config
         self.whereabouts = Whereabouts(first, config)

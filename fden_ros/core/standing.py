@@ -22,21 +22,12 @@ class SiteState(enum.IntEnum):
 
 
 class Standing:
-    """The newest estimate of a site, less what stands against it.
-
-    Attributes
-    ----------
-    state : SiteState
-    flags : Flag
-        What stands against every estimate of the site.
-    estimate : Estimate or None
-        The newest, with no more claimed than may be.
-    """
+    """The newest estimate of a site, less what stands against it."""
 
     def __init__(self, config: EstimatorConfig, flags: Flag) -> None:
         self.state = SiteState.OBSERVED
-        self.flags = flags
-        self.estimate: Estimate | None = None
+        self.flags = flags  #: what stands against every estimate of the site
+        self.estimate: Estimate | None = None  #: the newest, with no more claimed than may be
         self._estimator_config = config
         self._own: Estimate | None = None  # of the data alone
         self._variance_factor = 1.0

@@ -72,16 +72,12 @@ class Comparison:
     ----------
     log_ratio, log_ratio_sd : float
         ln of how many times stiffer than the mean of the surroundings, and its error.
-    degrees_of_freedom : float
-        Of Student's t.
-    count : float
-        How many places of the surroundings count.
     """
 
     log_ratio: float
     log_ratio_sd: float
-    degrees_of_freedom: float
-    count: float
+    degrees_of_freedom: float  #: of Student's t
+    count: float  #: how many places of the surroundings count
 
     @property
     def ratio(self) -> float:

@@ -29,19 +29,12 @@ class ReleaseDetector:
     ----------
     samples : deque of Pair
         The newest; those of chunks that count no more are dropped from it.
-
-    Attributes
-    ----------
-    threshold : float
-        Force of a sample that is not pressing [N].
-    is_behind : bool
-        The probe has left with a force that is drift of the sensor: there is no tissue.
     """
 
     def __init__(self, samples: deque[Pair]) -> None:
         self._samples = samples
         self._has_held = False
-        self.threshold = 0.0
+        self.threshold = 0.0  #: force of a sample that is not pressing [N]
         self.begin(0.0, 0.0, 0.0, Excess(0.0, 0.0, 1))
 
     def begin(self, bias: float, surface: float, clear: float, excess: Excess) -> None:
@@ -65,6 +58,7 @@ class ReleaseDetector:
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._newest: deque[Chunk] = deque()
         self._behind_chunks = 0
+        #: The probe has left with a force that is drift of the sensor: there is no tissue.
         self.is_behind = False
 
     def add(self, chunk: Chunk, pair: Pair) -> int | None:

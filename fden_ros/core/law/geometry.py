@@ -111,25 +111,15 @@ class Geometry(ABC):
 
 @dataclass(frozen=True)
 class FlatPunch(Geometry):
-    """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h.
-
-    Parameters
-    ----------
-    area : float
-        Area of the probe's face A [m^2].
-    thickness : float
-        Thickness of the tissue h [m].
-    poisson_ratio : float or None
-        Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
-        the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
-    is_bonded : bool
-        For that factor the base holds the tissue; else the tissue slips on it.
-    """
+    """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h."""
 
     kind = "flat_punch"
-    area: float
-    thickness: float
+    area: float  #: area of the probe's face A [m^2]
+    thickness: float  #: thickness of the tissue h [m]
+    #: Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of the
+    #: layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
     poisson_ratio: float | None = None
+    #: For that factor the base holds the tissue; else the tissue slips on it.
     is_bonded: bool = True
     is_stated: bool = True
 
@@ -172,26 +162,15 @@ class Sphere(Geometry):
 
     On a layer the strain is larger by a factor of the depth, :func:`.layer.sphere_series`: of an
     incompressible layer that its base holds 3.4 at sqrt(R delta)/h = 0.75.
-
-    Parameters
-    ----------
-    radius : float
-        Radius of the tip R [m].
-    thickness : float
-        Of the tissue, on a rigid base [m]; infinite: a half-space.
-    poisson_ratio : float
-        Of the tissue nu [1]; counts where it is bonded.
-    is_bonded : bool
-        The base holds the tissue; else the tissue slips on it.
     """
 
     kind = "sphere"
     exponent = 1.5
     example = "kind: sphere, radius: 0.005, thickness: 0.02"
-    radius: float
-    thickness: float = math.inf
-    poisson_ratio: float = 0.5
-    is_bonded: bool = True
+    radius: float  #: radius of the tip R [m]
+    thickness: float = math.inf  #: of the tissue, on a rigid base [m]; infinite: a half-space
+    poisson_ratio: float = 0.5  #: of the tissue nu [1]; counts where it is bonded
+    is_bonded: bool = True  #: the base holds the tissue; else the tissue slips on it
     is_stated: bool = True
 
     @property
@@ -270,22 +249,16 @@ class TorsionalRheometer(Geometry):
 
     Stress f = T / (pi R^3), strain x = R theta / (2 d): the means over the sample, half of the
     outer values.
-
-    Parameters
-    ----------
-    radius : float
-        Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
-        factor of 8 in stress.
-    height : float
-        Height of the sample d [m].
     """
 
     kind = "torsional_rheometer"
     unit = "N m"
     is_one_sided = False
     example = "kind: torsional_rheometer, radius: 0.01, thickness: 0.005"
+    #: Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
+    #: factor of 8 in stress.
     radius: float
-    height: float
+    height: float  #: height of the sample d [m]
     is_stated: bool = True
 
     @property

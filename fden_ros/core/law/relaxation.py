@@ -160,15 +160,10 @@ def passed(
 
 
 class StressMoments:
-    """Exponential moments of a measured stress: all that the tissue's future remembers of it.
-
-    Attributes
-    ----------
-    values : ndarray, shape (COUNT,)
-        int exp(-lambda (t - s)) f(s) ds [Pa s].
-    """
+    """Exponential moments of a measured stress: all that the tissue's future remembers of it."""
 
     def __init__(self) -> None:
+        #: int exp(-lambda (t - s)) f(s) ds [Pa s], shape (COUNT,).
         self.values: Array = np.zeros(COUNT)
 
     def add(self, step: float, before: float, after: float) -> None:

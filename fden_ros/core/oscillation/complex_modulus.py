@@ -98,11 +98,6 @@ class ComplexModulusMeter:
     ValueError
         If no frequency, or one that is not positive, or two equal ones are given.
 
-    Attributes
-    ----------
-    phasors : Phasors
-        Of the newest window; zeros before it.
-
     Examples
     --------
     >>> meter = ComplexModulusMeter([1.0], periods=2)
@@ -134,7 +129,7 @@ class ComplexModulusMeter:
         self._start = self._stop = math.nan
         self._samples = 0
         none = np.zeros(len(frequencies), dtype=complex)
-        self.phasors = Phasors(none, none)
+        self.phasors = Phasors(none, none)  #: of the newest window; zeros before it
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""

@@ -54,17 +54,11 @@ class Stiffness(NamedTuple):
 
 
 class LocalStiffness:
-    """Follows the stiffness window after window.
-
-    Attributes
-    ----------
-    windows : int
-        Taken since the beginning.
-    """
+    """Follows the stiffness window after window."""
 
     def __init__(self) -> None:
         count = _DISCOUNTS.size
-        self.windows = 0
+        self.windows = 0  #: taken since the beginning
         self._mean = np.zeros(count, dtype=complex)
         self._precision = np.zeros(count)  # in units of 1/sigma^2 [m^2]
         # Along k and across it: a place that changes scatters the magnitude, not the phase.

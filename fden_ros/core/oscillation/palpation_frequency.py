@@ -28,20 +28,14 @@ _CHANGE = 0.04
 
 
 class PalpationFrequency:
-    """Finds the frequency of an oscillation that dominates the velocity.
-
-    Attributes
-    ----------
-    value : float or None
-        The frequency [Hz]; None while nothing oscillates.
-    """
+    """Finds the frequency of an oscillation that dominates the velocity."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.value: float | None = None
+        self.value: float | None = None  #: the frequency [Hz]; None while nothing oscillates
         self._ring = np.zeros(_MOST)
         self._count = 0
         self._start = self._time = self._displacement = 0.0

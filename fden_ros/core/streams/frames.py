@@ -37,24 +37,16 @@ class FramesConfig:
 
     Parameters
     ----------
-    base : str
-        Frame in which the axes are given.
-    probe : str
-        Frame of the probe's tip; also of forces that name no frame.
     force_axis, displacement_axis : Vector
         Unit vectors in `base`.
-    moves_probe : bool
-        The displacement is that of `probe` in `base`.
-    tool : ToolWeight, optional
-        Its weight is taken off the force.
     """
 
-    base: str
-    probe: str
+    base: str  #: frame in which the axes are given
+    probe: str  #: frame of the probe's tip; also of forces that name no frame
     force_axis: Vector
     displacement_axis: Vector
-    moves_probe: bool = False
-    tool: ToolWeight | None = None
+    moves_probe: bool = False  #: the displacement is that of `probe` in `base`
+    tool: ToolWeight | None = None  #: its weight is taken off the force
 
 
 #: By the name of a frame, its parent and where it is in it, at all times.
@@ -79,13 +71,6 @@ class Frames:
         Makes what lets forces wait for a link's transforms.
     statics : StaticLinks
         Those known by now; added to.
-
-    Attributes
-    ----------
-    joins : list of Join
-        Of the links that count, in order; empty until all are known, and where all are static.
-    is_known : bool
-        Whether each frame that counts leads to the base.
     """
 
     def __init__(
@@ -98,8 +83,9 @@ class Frames:
         self._statics = statics
         self._links: dict[str, _Link] = {}
         self._force_frame: str | None = None
+        #: Of the links that count, in order; empty until all are known, and where all are static.
         self.joins: list[Join] = []
-        self.is_known = False
+        self.is_known = False  #: whether each frame that counts leads to the base
         #: Which links count, in order.
         self._chain: tuple[str, ...] = ()
         #: By a frame, its ancestors below the one that it has in common with the base, and the

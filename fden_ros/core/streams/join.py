@@ -65,21 +65,17 @@ class JoinLimits:
 
     Parameters
     ----------
-    max_gap_ns : int
-        Samples further apart than this, and than 2 usual steps of the leading stream, are not
-        interpolated between.
-    window_ns : int
-        A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they
-        are longer.
-    delay_ns : int
-        The following stream's stamps lag the leading one's by this much.
     unpaired, gap : str
         Reasons to reject a leading sample: without a sample around it; in a gap.
     """
 
+    #: Samples further apart than this, and than 2 usual steps of the leading stream, are not
+    #: interpolated between.
     max_gap_ns: int
+    #: A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they are
+    #: longer.
     window_ns: int
-    delay_ns: int
+    delay_ns: int  #: the following stream's stamps lag the leading one's by this much
     unpaired: str
     gap: str
 
@@ -89,15 +85,10 @@ class Passed:
 
     Pairs that wait for yet another stream leave samples behind too: those count from when the
     pair is made, so that what is known at a pair does not depend on how long it waited.
-
-    Attributes
-    ----------
-    samples : deque of Sample
-        The last 256.
     """
 
     def __init__(self) -> None:
-        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)  #: the last 256
         self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
 
     def add(self, key: tuple[int, int], sample: Sample) -> None:
@@ -122,11 +113,6 @@ class Join:
     on_match : callable
         Called in order with each leading sample and what it has been matched with, this stream
         last.
-
-    Attributes
-    ----------
-    passed : Passed
-        The samples of the following stream that nothing waits for any more.
     """
 
     def __init__(
@@ -141,6 +127,7 @@ class Join:
         self._on_match = on_match
         self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
+        #: The samples of the following stream that nothing waits for any more.
         self.passed = Passed()
         self._behind_since_ns: int | None = None
 

@@ -29,18 +29,11 @@ from fden_ros.core.streams.rotation import (
 
 @dataclass(frozen=True)
 class ToolPathConfig:
-    """Along what a probe advances.
+    """Along what a probe advances."""
 
-    Parameters
-    ----------
-    axis : Vector
-        Unit vector in the probe's frame, out of its tip.
-    normal : Vector, optional
-        Unit vector into the tissue, perpendicular to its surface; where it is not known, the
-        probe is taken to stand upright.
-    """
-
-    axis: Vector
+    axis: Vector  #: unit vector in the probe's frame, out of its tip
+    #: Unit vector into the tissue, perpendicular to its surface; where it is not known, the probe
+    #: is taken to stand upright.
     normal: Vector | None = None
 
 
