@@ -21,7 +21,7 @@ from collections import Counter
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.oscillation.complex_modulus import ComplexModulus
+from fden_ros.core.oscillation.complex_modulus import LEAST_AMPLITUDE, ComplexModulus
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.palpation import Palpated
 from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
@@ -38,8 +38,6 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
 
-#: Least amplitude, as a part of the geometry's length.
-_LEAST_AMPLITUDE = 1e-4
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0
 
@@ -148,7 +146,7 @@ class ContinuousSession:
         config, frequencies = self._config, self._config.dither_frequencies
         self._meter = PalpationMeter(
             frequencies[0] if frequencies else None,
-            _LEAST_AMPLITUDE * config.geometry.length,
+            LEAST_AMPLITUDE * config.geometry.length,
             config.apparent_stiffness_time_scale,
             config.estimator,
             config.geometry.length if self._is_flat else None,

@@ -18,7 +18,7 @@ from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.guard import USUAL_SAMPLES, StreamGuard
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.written import written
 
@@ -71,8 +71,6 @@ _TILTED = 0.087
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
 _GROWTH = 1.1
-#: Least count of samples of a stream that are judged.
-_MIN_SAMPLES = 32
 #: What is likely of a press, for a factor to be named: force [N], strain rate [1/s].
 _LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
@@ -274,7 +272,7 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
 
     `limit` is that of its magnitude [N, m].
     """
-    if guard.too_large > max(_MIN_SAMPLES, guard.accepted):
+    if guard.too_large > max(USUAL_SAMPLES, guard.accepted):
         units = _FORCES if name == "force" else _LENGTHS
         unit = "N" if name == "force" else "m"
         words = " or ".join(f"{u} (factor {units[u]:.3g})" for u in list(units)[:2])
@@ -282,9 +280,9 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
             f"most samples of the {name} are beyond {name}.limit ({limit:g} {unit}), up to "
             f"{written(guard.largest, 3)}: is it in {words}, not {unit}?"
         )
-    if 2 * guard.too_close > max(_MIN_SAMPLES, guard.accepted):
+    if 2 * guard.too_close > max(USUAL_SAMPLES, guard.accepted):
         return too_fast(guard.close_step)
-    if guard.accepted > _MIN_SAMPLES and guard.usual_step < _FASTEST_STEP:
+    if guard.accepted > USUAL_SAMPLES and guard.usual_step < _FASTEST_STEP:
         return too_fast(guard.usual_step)
     return ""
 

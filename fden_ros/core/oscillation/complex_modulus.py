@@ -36,6 +36,8 @@ ComplexArray = NDArray[np.complex128]
 
 #: Coefficients of the trend: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
+#: Least amplitude of strain [1] at which there is a dither at all.
+LEAST_AMPLITUDE = 1e-4
 #: Samples in a period: fewer leave the phasor to chance.
 _SAMPLES_PER_PERIOD = 8
 
@@ -110,7 +112,10 @@ class ComplexModulusMeter:
     """
 
     def __init__(
-        self, frequencies: Sequence[float], periods: int = 4, least_amplitude: float = 1e-4
+        self,
+        frequencies: Sequence[float],
+        periods: int = 4,
+        least_amplitude: float = LEAST_AMPLITUDE,
     ) -> None:
         if not frequencies or min(frequencies) <= 0.0 or periods < 1:
             raise ValueError("give positive frequencies in Hz, and at least 1 period")

@@ -69,7 +69,7 @@ _SLOW_FAR_STEPS = 3.0
 _LATE_RUN = 20
 #: The means of the step between stamps and of the change between values are over 32 samples, and
 #: are used for tests from so many on.
-_USUAL_SAMPLES = 32
+USUAL_SAMPLES = 32
 #: A value more than 12 mean changes away from its neighbours on both sides is a spike.
 _SPIKE_CHANGES = 12.0
 #: A change, or a step, enters its mean as at most 4 times that: no spike, and no pause, moves it.
@@ -146,7 +146,7 @@ class StreamGuard:
         self._held: Sample | None = None
         self._late_run = 0
         self._late_newest_ns = 0
-        self._usual = UsualStep(_USUAL_SAMPLES)
+        self._usual = UsualStep(USUAL_SAMPLES)
         self._values = ValueGuard(limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
@@ -240,7 +240,7 @@ class StreamGuard:
         # Taken at once, a stray stamp a little ahead would make all that come after it late.
         usual_ns = self._usual.value_ns
         far: float = NANOSECONDS
-        if self._usual.count >= _USUAL_SAMPLES:
+        if self._usual.count >= USUAL_SAMPLES:
             far = min(_FAR_STEPS * usual_ns, far)
         far = max(far, _SLOW_FAR_STEPS * usual_ns)
         if _MIN_STEP_NS <= step <= far:
@@ -324,7 +324,7 @@ class ValueGuard:
         return (
             self._limits_runs
             and self._run >= _STUCK * max(1, self._longest_run)
-            and self._changes >= _USUAL_SAMPLES
+            and self._changes >= USUAL_SAMPLES
             and self._usual_change >= _FINE_STEPS * self._resolution.step
         )
 
@@ -347,7 +347,7 @@ class ValueGuard:
             if change >= 0.5 * self._distance(last, held):
                 return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
             judged.append((held, Reason.SPIKE))
-        if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
+        if self._changes >= USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
             self._held = sample
             return judged
         judged.append((sample, self._follow(last, sample)))
@@ -378,7 +378,7 @@ class ValueGuard:
     def _learn(self, change: float) -> None:
         # Only of changes: a coarse signal stands still most of the time.
         usual = self._usual_change or change
-        self._usual_change = usual + (min(change, _MOST_GROWTH * usual) - usual) / _USUAL_SAMPLES
+        self._usual_change = usual + (min(change, _MOST_GROWTH * usual) - usual) / USUAL_SAMPLES
 
 
 class GapGuard:
