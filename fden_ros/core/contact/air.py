@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import NamedTuple
@@ -167,21 +166,11 @@ class Excess(NamedTuple):
     scale: int  #: chunks that are averaged
 
 
-def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
+def _scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     """Return the standard deviation of means in the air [N] and its degrees of freedom, per scale.
 
-    Parameters
-    ----------
-    means : ndarray, shape (n,)
-        Of the chunks in the air [N]; their successive differences count (Allan's variance).
-    size : float
-        Samples in a chunk.
-    noise : float
-        Standard deviation per sample within the chunks [N].
-
-    Returns
-    -------
-    sd, freedom : ndarray, shape (scales,)
+    By the successive differences (Allan's variance) of the `means` of chunks in the air [N], of
+    `size` samples each, within which these have a deviation of `noise` [N].
     """
     found: list[tuple[float, float]] = []
     freedom, variance = means.size * (size - 1.0), noise**2
@@ -199,28 +188,7 @@ def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     return sd, degrees
 
 
-def thresholds_of(sd: Array, freedom: Array) -> Array:
-    """Return the means that air exceeds with a probability of 5e-6 [N], shape (scales,)."""
-    limits: Array = -stdtrit(freedom, _CHANCE) * sd
-    return limits
-
-
-def rises_of(newest: Iterable[Chunk], bias: Callable[[int], float]) -> Array:
-    """Return the means of the newest chunks, the last one first, above the bias [N], per scale.
-
-    `bias` gives the force without contact [N] at a stamp.
-    """
-    found = []
-    size, total = 0, 0.0
-    for count, chunk in enumerate(newest, start=1):
-        size += chunk.size
-        total += chunk.size * (chunk.mean - bias(chunk.end_ns))
-        if count in SCALES:
-            found.append(total / size)
-    return np.array(found)
-
-
-def deepest_fall(means: Array, scale: int) -> float:
+def _deepest_fall(means: Array, scale: int) -> float:
     """Return how far means over `scale` of the chunks fell below the bias [N]."""
     if means.size < scale:
         return 0.0
@@ -369,16 +337,26 @@ class Baseline:
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
-        newest = chain((chunk,), reversed(self._chunks))
-        rises = rises_of(islice(newest, SCALES[-1]), self.bias_at)
-        self._rises = rises
+        rises = self._rises = self._rises_with(chunk)
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
         rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
         if rise > limit and self.is_measured:
             # Where the bias is given, what is below it may be the bias.
-            limit = max(limit, _SWING_FACTOR * deepest_fall(self._above_bias(), scale))
+            limit = max(limit, _SWING_FACTOR * _deepest_fall(self._above_bias(), scale))
         return Excess(rise / limit, limit, scale)
+
+    def _rises_with(self, chunk: Chunk) -> Array:
+        """Return the means of the newest chunks above the bias [N], per scale."""
+        found = []
+        size, total = 0, 0.0
+        newest = islice(chain((chunk,), reversed(self._chunks)), SCALES[-1])
+        for count, one in enumerate(newest, start=1):
+            size += one.size
+            total += one.size * (one.mean - self.bias_at(one.end_ns))
+            if count in SCALES:
+                found.append(total / size)
+        return np.array(found)
 
     def _above_bias(self) -> Array:
         return np.array([chunk.mean - self.bias_at(chunk.end_ns) for chunk in self._chunks])
@@ -419,16 +397,15 @@ class Baseline:
     def _thresholds_in(self, chunks: tuple[Chunk, ...], air: Air, size: int) -> Array:
         """Return the least mean that is no air for each scale [N]."""
         means = np.array([chunk.mean for chunk in chunks])
-        sd, freedom = scatter_of(
-            means, air.size / len(chunks) if chunks else size, self.noise_of(air)
-        )
+        usual_size = air.size / len(chunks) if chunks else size
+        sd, freedom = _scatter_of(means, usual_size, self.noise_of(air))
         step = self.resolution.step
         is_dithered = self._config.force_noise or air.fast_noise >= _DITHER * step
         rounding = 0.0 if is_dithered else self._rounding
         self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
         wander = max(self._wander, 0.0)
         sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
-        least = thresholds_of(sd, freedom)
+        least: Array = -stdtrit(freedom, _CHANCE) * sd
         if not self.is_measured:
             # A longer mean tells no better whether the bias is what it is said to be.
             least = np.maximum(least, least[0])
