@@ -59,12 +59,7 @@ class AirChange(NamedTuple):
 class AirAfter:
     """Averages the force in the air behind the surface of a contact.
 
-    Parameters
-    ----------
-    release_ns : int
-        When the probe has left.
-    drift_sd : float
-        Of the force over one second in contact [N], as stated.
+    `drift_sd` is that of the force over one second in contact [N], as stated.
     """
 
     def __init__(self, onset: Onset, release_ns: int, drift_sd: float) -> None:

@@ -44,12 +44,8 @@ class Means(NamedTuple):
 class BlockSums:
     """Sums over the samples of a block, and when it is complete.
 
-    Parameters
-    ----------
-    duration : float
-        A block is complete after this [s] ...
-    compression : float
-        ... or when the compression has changed by more than this within [1].
+    A block is complete after a `duration` [s], or when the `compression` [1] has changed by more
+    within.
     """
 
     def __init__(self, duration: float, compression: float) -> None:

@@ -36,14 +36,8 @@ from fden_ros.core.strokes import Strokes
 class ContactSession:
     """One press after the other.
 
-    Parameters
-    ----------
-    rejected : collections.Counter
-        Counts of rejected samples so far.
-    path_noise : callable
-        Returns the noise of the motion so far [m^2 s].
-    flags : Flag
-        What stands against every estimate.
+    `path_noise` returns the noise of the motion so far [m^2 s]; `flags` stand against every
+    estimate.
     """
 
     def __init__(

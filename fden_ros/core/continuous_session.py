@@ -108,13 +108,7 @@ class Place(Stretch):
 
 
 class ContinuousSession:
-    """From pairs to states, moduli and one summary a place.
-
-    Parameters
-    ----------
-    rejected : collections.Counter
-        Counts of rejected samples so far.
-    """
+    """From pairs to states, moduli and one summary a place."""
 
     #: No touch is looked for.
     in_contact = never_lifts = False

@@ -148,18 +148,8 @@ class _Open:
 class _Run:
     """Motion in one direction, from a displacement on.
 
-    Parameters
-    ----------
-    sign : float
-        1: into the tissue, -1: out of it.
-    start : float
-        Where it begins [m].
-    stamp_ns : int
-        When.
-    length : float
-        Of a piece, at least [m].
-    least_change : float
-        It says nothing before the force has changed by this [N].
+    `sign` is 1 into the tissue and -1 out of it, `length` the least of a piece [m]. It says
+    nothing before the force has changed by `least_change` [N].
     """
 
     def __init__(

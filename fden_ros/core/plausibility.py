@@ -122,13 +122,7 @@ class Tilt:
 
 
 class Plausibility:
-    """Judges contacts and streams.
-
-    Parameters
-    ----------
-    prior : Prior
-        Of the tissue.
-    """
+    """Judges contacts and streams."""
 
     def __init__(self, config: PlausibilityConfig, geometry: Geometry, prior: Prior) -> None:
         self._config, self._geometry, self._prior = config, geometry, prior

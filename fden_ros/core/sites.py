@@ -18,10 +18,7 @@ _MOST_VISITED = 16
 class Sites:
     """The present site and those that were visited before.
 
-    Parameters
-    ----------
-    flags : Flag
-        What stands against every estimate.
+    `flags` stand against every estimate.
     """
 
     def __init__(self, config: PipelineConfig, flags: Flag) -> None:
@@ -37,12 +34,7 @@ class Sites:
     def of(self, onset: Onset, left_unseen_ns: int | None, rig: RigKnowledge) -> Site:
         """Return the site that is touched, from now on the present one.
 
-        Parameters
-        ----------
-        left_unseen_ns : int or None
-            When the probe may have left a tissue unseen.
-        rig : RigKnowledge
-            With which a new site begins.
+        The probe may have left a tissue unseen at `left_unseen_ns`; a new site begins with `rig`.
         """
         before, first = self.present, onset.samples[0]
         is_elsewhere = before.is_elsewhere(onset) if before is not None else True

@@ -91,10 +91,7 @@ class Decider:
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
         """Take the newest probabilities; return the label, empty while there is none.
 
-        Parameters
-        ----------
-        last : bool
-            No more probabilities come: another answer replaces the label at once.
+        `last`: no more come, so that another answer replaces the label at once.
         """
         candidate = self._answer(classes)
         if candidate == self.label:
@@ -201,14 +198,7 @@ class Labeller:
 class Labelling:
     """The label of one contact with a site.
 
-    Parameters
-    ----------
-    position : tuple of float or None
-        Of the site [m].
-    start_ns : int
-        Stamp of the touch.
-    change_count : int
-        How often the site's tissue has changed before.
+    `position` is that of the site [m], whose tissue has changed `change_count` times before.
     """
 
     def __init__(
@@ -238,16 +228,8 @@ class Labelling:
     ) -> Iterator[Answer]:
         """Take what is known after a block; give each answer that differs from the last.
 
-        Parameters
-        ----------
-        max_strain : float
-            So far [1].
-        block : int
-            Its number.
-        change_count : int
-            How often the tissue changed under the probe.
-        is_mismatch : bool
-            The model does not describe the contact.
+        `max_strain` so far [1]; `block` is its number; the tissue changed `change_count` times
+        under the probe; `is_mismatch`: the model does not describe the contact.
         """
         if change_count != self._change_count:
             # The tissue that was named is no longer under the probe.

@@ -254,11 +254,8 @@ _ROUNDING, _DITHER = 12.0**-0.5, 0.6
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
 
-    Parameters
-    ----------
-    config : ContactConfig
-        Chunks older than its lookback, and than 24 chunks last, are forgotten; than 4 times that
-        while a slow contact may be on.
+    Chunks older than the lookback, and than 24 chunks last, are forgotten; than 4 times that while
+    a slow contact may be on.
     """
 
     def __init__(self, config: ContactConfig) -> None:

@@ -25,10 +25,7 @@ _HELD = 0.05
 class ReleaseDetector:
     """Tells when a contact ends.
 
-    Parameters
-    ----------
-    samples : deque of Pair
-        The newest; those of chunks that count no more are dropped from it.
+    Of the newest `samples`, those of chunks that count no more are dropped.
     """
 
     def __init__(self, samples: deque[Pair]) -> None:
@@ -40,16 +37,8 @@ class ReleaseDetector:
     def begin(self, bias: float, surface: float, clear: float, excess: Excess) -> None:
         """Begin a contact.
 
-        Parameters
-        ----------
-        bias : float
-            Of the force [N].
-        surface : float
-            Where the probe touched [m].
-        clear : float
-            What a single chunk in contact exceeds [N].
-        excess : Excess
-            By which the contact was told.
+        `bias` is that of the force [N], `surface` where the probe touched [m], `clear` what a
+        single chunk in contact exceeds [N]; by `excess` the contact was told.
         """
         self._bias, self._surface, self._deepest = bias, surface, surface
         self._clear = max(clear, excess.threshold)

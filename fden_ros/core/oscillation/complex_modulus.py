@@ -151,12 +151,7 @@ class ComplexModulusMeter:
     def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
         """Add a sample; return one result a frequency where it ends a window, else nothing.
 
-        Parameters
-        ----------
-        time : float
-            [s], increasing.
-        strain, stress : float
-            [1] and [Pa].
+        `time` [s] increases; `strain` [1], `stress` [Pa].
         """
         # Half a step of slack: the sample that rounds to the window's end begins the next one.
         ended = self._samples > 1 and time - self._start >= self.window - 0.5 * (time - self._stop)

@@ -69,14 +69,8 @@ class LocalStiffness:
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
         """Take a window.
 
-        Parameters
-        ----------
-        stiffness : complex
-            F / X [N/m].
-        amplitude : float
-            |X| [m], positive.
-        sd : float
-            Standard deviation of either part of `stiffness` by the white noise alone [N/m].
+        `stiffness` is F / X [N/m], `amplitude` |X| [m], positive, and `sd` the standard deviation
+        of either part of the stiffness by the white noise alone [N/m].
         """
         information = amplitude**2
         if self.windows == 0:

@@ -93,12 +93,7 @@ class PalpationMeter:
     def add(self, time: float, displacement: float, force: float) -> Measured | None:
         """Take a sample; return what the window tells that ended before it, if one did.
 
-        Parameters
-        ----------
-        time : float
-            [s], increasing.
-        displacement, force : float
-            [m] and [N].
+        `time` [s] increases; `displacement` [m], `force` [N].
         """
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value

@@ -97,10 +97,7 @@ class UsualStep:
 
     The larger of the mean of all steps and of the shorter one of the last two.
 
-    Parameters
-    ----------
-    samples : int
-        That the exponential mean is over.
+    The mean is exponential, over so many `samples`.
     """
 
     def __init__(self, samples: int) -> None:
@@ -294,12 +291,8 @@ class StreamGuard:
 class ValueGuard:
     """Tell measured values from spikes and from those of a sensor that is stuck.
 
-    Parameters
-    ----------
-    limits_runs : bool
-        Whether a signal that stands still is suspicious; a displacement may well.
-    is_vector : bool
-        Whether positions and turns count, not values.
+    A signal that stands still is suspicious where it `limits_runs`; a displacement may well. Where
+    it `is_vector`, positions and turns count, not values.
     """
 
     def __init__(self, limits_runs: bool, is_vector: bool = False) -> None:
