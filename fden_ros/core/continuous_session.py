@@ -189,7 +189,7 @@ class ContinuousSession:
             self._blocks.restart(pair.stamp_ns)
         outputs: list[Output] = []
         time = self._elapsed = (pair.stamp_ns - self._start_ns) / NANOSECONDS
-        displacement = pair.displacement - self._config.contact.series_compliance * pair.force
+        displacement = self._config.contact.compliance_free(pair, pair.force)
         measured = self._meter.add(time, displacement, pair.force)
         if measured is not None:
             outputs += self._close_window(measured, pair.stamp_ns)

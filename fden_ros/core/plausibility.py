@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fden_ros.core.contact.detector import Onset
@@ -189,8 +190,7 @@ class Plausibility:
         if strain <= most:
             return ""
         depth, deepest = geometry.compression(strain), geometry.compression(most)
-        values = {name: geometry.strain(depth * factor) for name, factor in _LENGTHS.items()}
-        asked = _asked(values, _LENGTHS, _LEAST_STRAIN, most)
+        asked = _asked(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
         if not asked:
             factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
             then = geometry.strain(depth * factor)
@@ -204,9 +204,7 @@ class Plausibility:
         most = self._config.most_force
         if force <= most or self._geometry.unit != "N":
             return ""
-        asked = _asked(
-            {name: force * factor for name, factor in _FORCES.items()}, _FORCES, *_LIKELY_FORCE
-        )
+        asked = _asked(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
         return (
             f"a contact reached {written(force, 3)} N, more than plausible.force ({most:g} N): is "
             f"the force in {asked or 'N'}? If it is that large, set plausible.force to "
@@ -222,10 +220,7 @@ class Plausibility:
         least = self._config.least_strain_rate
         if self._step < _SLOW_STEP or strain >= least * elapsed:
             return ""
-        asked = _asked(
-            {name: strain / elapsed / factor for name, factor in _TIMES.items()},
-            _TIMES, *_LIKELY_RATE,
-        )  # fmt: skip
+        asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
             f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: "
@@ -245,14 +240,8 @@ class Plausibility:
         if least <= math.log(self._high) and most >= math.log(self._low):
             return ""
         ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
-        units = {**_FORCES, "kN": 1e3}
-        likely = (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
-        asked = _asked(
-            {name: ratio * factor for name, factor in units.items()},
-            units,
-            *likely,
-            is_shown=False,
-        )
+        units, likely = {**_FORCES, "kN": 1e3}, (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
+        asked = _asked(units, lambda f: ratio * f, *likely, is_shown=False)
         if ratio > 1.0 and strain < _LEAST_STRAIN:
             asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
         return (
@@ -301,8 +290,8 @@ def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
 
 
 def _asked(
-    values: dict[str, float],
     factors: dict[str, float],
+    value: Callable[[float], float],
     low: float,
     high: float,
     *,
@@ -310,7 +299,7 @@ def _asked(
 ) -> str:
     """Return the units whose value is likely, each with its factor and, if shown, its value."""
     return " or ".join(
-        f"{name} (factor {factors[name]:.3g}" + (f": {value:.2g})" if is_shown else ")")
-        for name, value in values.items()
-        if low <= value <= high
+        f"{name} (factor {factor:.3g}" + (f": {value(factor):.2g})" if is_shown else ")")
+        for name, factor in factors.items()
+        if low <= value(factor) <= high
     )
