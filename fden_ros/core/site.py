@@ -340,11 +340,7 @@ def dips(duration_ns: int) -> bool:
 
 
 def _new_estimator(
-    config: PipelineConfig,
-    noise_sd: float,
-    origin_sd: float,
-    noise: float,
-    rig: RigKnowledge,
+    config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float, rig: RigKnowledge
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:

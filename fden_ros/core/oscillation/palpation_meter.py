@@ -11,11 +11,7 @@ from typing import NamedTuple
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
-from fden_ros.core.oscillation.out_of_step import (
-    PhaseGrowth,
-    leads_beyond_right_angle,
-    sentence,
-)
+from fden_ros.core.oscillation.out_of_step import PhaseGrowth, leads_beyond_right_angle, sentence
 from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
 from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency

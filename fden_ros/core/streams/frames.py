@@ -74,10 +74,7 @@ class Frames:
     """
 
     def __init__(
-        self,
-        config: FramesConfig,
-        make_join: Callable[[], Join],
-        statics: StaticLinks,
+        self, config: FramesConfig, make_join: Callable[[], Join], statics: StaticLinks
     ) -> None:
         self._config, self._make_join = config, make_join
         self._statics = statics

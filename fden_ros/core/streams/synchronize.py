@@ -20,13 +20,7 @@ from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, betw
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Join, JoinLimits, Matched, Passed
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector, dot
-from fden_ros.core.streams.samples import (
-    NANOSECONDS,
-    Pair,
-    Position,
-    Reason,
-    Sample,
-)
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
 #: Variance of what is rounded off, in squares of a step: four times that of a single value,
