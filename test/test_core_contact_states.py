@@ -17,8 +17,9 @@ from pipeline_helpers import Item, feed, summaries_of
 
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Phase, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.site import Site, SiteState
+from fden_ros.core.site import Site
 from fden_ros.core.site_contact import Contact, Event, State
+from fden_ros.core.standing import SiteState
 from fden_ros.core.streams.samples import Pair
 from fden_ros.parameters import check, pipeline_config
 

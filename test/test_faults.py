@@ -264,7 +264,7 @@ def break_estimator(pipeline: Pipeline) -> None:
     def update(block: object) -> None:
         raise ZeroDivisionError("on purpose")
 
-    site = pipeline._session._site  # type: ignore[attr-defined]
+    site = pipeline._session._sites.present  # type: ignore[union-attr]
     site._estimator.update = update
 
 
@@ -566,8 +566,8 @@ def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds):
         assert abs(difference) < DEVIATIONS * sd, played
         emitter.last = None
         offset += round((duration + row.moved) * NANOSECONDS)
-        pipeline._emit_output = ignored
+        pipeline._outlet.emit = ignored
         sizes.append(len(pickle.dumps(pipeline)))
-        pipeline._emit_output = emitter
+        pipeline._outlet.emit = emitter
     assert emitter.count > 100 * len(played)
     assert max(sizes) < 1.2 * sizes[0] + 50_000, sizes

@@ -32,7 +32,7 @@ from fden_ros.cli import main
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import ContactDetector, Onset
 from fden_ros.core.estimation import Component, ended
-from fden_ros.core.site import origin_of
+from fden_ros.core.origin import origin_of
 from fden_ros.core.streams import Pair
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay

@@ -8,7 +8,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from fden_ros.core.contact.air import SLOW_NS
 from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.outputs import Flag
 from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
@@ -16,6 +20,11 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 #: At least this number of samples is averaged.
 _LEAST_SAMPLES = 12
+#: It is judged when a slow contact that begins behind it is known: 1 s after the release, and
+#: 0.15 s after it was averaged [ns].
+_AVERAGED_BEFORE_NS = 150_000_000
+#: It contradicts the air before the contact beyond this many stated standard deviations.
+_CONTRADICTION = 5.0
 
 
 class AirChange(NamedTuple):
@@ -30,32 +39,52 @@ class AirChange(NamedTuple):
         """The change over its stated standard deviation [1]; below 0: the force has fallen."""
         return self.change / math.sqrt(self.noise_variance + self.drift_variance)
 
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the force has fallen by more than noise and drift explain."""
+        return self.deviations < -_CONTRADICTION
+
+    def verdict(self, rig: RigKnowledge | None) -> tuple[Flag, float, Evidence | None]:
+        """Return what it says of the contact: flag, factor of the variance, and of the drift.
+
+        `rig`: what was known before, of which the drift is learned; None: it is not.
+        """
+        drift = drift_evidence(*self) if rig is not None and self.drift_variance else None
+        factor = rig.drift_factor(drift) if rig is not None and drift is not None else 1.0
+        if abs(self.deviations) > _CONTRADICTION:
+            return Flag.FORCE_DRIFTED, max(1.0 + self.deviations**2, factor), drift
+        return Flag.NONE, factor, drift
+
 
 class AirAfter:
     """Averages the force in the air behind the surface of a contact.
 
-    Parameters
-    ----------
-    onset : Onset
-    drift_sd : float
-        Of the force over one second in contact [N], as stated.
+    `drift_sd` is that of the force over one second in contact [N], as stated.
     """
 
-    def __init__(self, onset: Onset, drift_sd: float) -> None:
-        self._onset = onset
-        self._drift_sd = drift_sd
+    def __init__(self, onset: Onset, release_ns: int, drift_sd: float) -> None:
+        self._onset, self._release_ns, self._drift_sd = onset, release_ns, drift_sd
         self._behind_ns: int | None = None
         self._size, self._sum = 0, 0.0
-        self.is_complete = False
+        self._is_complete = False
 
     @property
-    def end_ns(self) -> int:
+    def _end_ns(self) -> int:
         """When the averaging ends [ns]; 0: it has not begun."""
         return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
 
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether the contact is to be judged at a stamp."""
+        due_ns = max(self._release_ns + SLOW_NS, self._end_ns + _AVERAGED_BEFORE_NS)
+        return stamp_ns > due_ns
+
+    def is_known(self, until_ns: int) -> bool:
+        """Whether it was averaged until a stamp."""
+        return self._is_complete and self._end_ns <= until_ns
+
     def average(self, pair: Pair) -> None:
         """Take a pair after the release."""
-        if self.is_complete:
+        if self._is_complete:
             return
         if pair.displacement >= self._onset.displacement:
             self._behind_ns, self._size, self._sum = None, 0, 0.0
@@ -63,7 +92,7 @@ class AirAfter:
         if self._behind_ns is None:
             self._behind_ns = pair.stamp_ns
         elapsed_ns = pair.stamp_ns - self._behind_ns
-        self.is_complete = elapsed_ns > _WINDOW_NS
+        self._is_complete = elapsed_ns > _WINDOW_NS
         if _SETTLING_NS <= elapsed_ns <= _WINDOW_NS:
             self._size += 1
             self._sum += pair.force
@@ -71,9 +100,9 @@ class AirAfter:
     def change(self) -> AirChange | None:
         """Return how the air has changed; None where too few samples say nothing."""
         onset = self._onset
-        if not self.is_complete or self._size < _LEAST_SAMPLES:
+        if not self._is_complete or self._size < _LEAST_SAMPLES:
             return None
-        elapsed = (self.end_ns - onset.samples[0].stamp_ns) / NANOSECONDS
+        elapsed = (self._end_ns - onset.samples[0].stamp_ns) / NANOSECONDS
         return AirChange(
             self._sum / self._size - onset.bias - onset.drift * elapsed,
             onset.bias_sd**2 + (onset.drift_sd * elapsed) ** 2 + onset.noise_sd**2 / self._size,

@@ -32,16 +32,7 @@ def apparent_stiffness_of(
 
     None while one of both is not known, and while the deviation is above half of it.
 
-    Parameters
-    ----------
-    estimate : Estimate or None
-    geometry : Geometry
-    compression : float or None
-        From the nominal origin [1].
-    stress : float
-        There [Pa].
-    time_scale : float
-        tau [s].
+    `compression` is from the nominal origin [1], `stress` there [Pa].
     """
     if estimate is None or compression is None:
         return None

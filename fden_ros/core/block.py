@@ -13,10 +13,8 @@ from fden_ros.core.streams.samples import NANOSECONDS
 
 #: A block is complete at this part of its duration, so that jitter does not add a sample.
 _COMPLETE = 0.95
-#: The probe holds while the compression changes by less than this per second [1/s] ...
+#: The probe holds while the compression changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
-#: ... over the last 10 blocks.
-_RATE_BLOCKS = 10
 
 
 class ContactSample(NamedTuple):
@@ -46,17 +44,8 @@ class Means(NamedTuple):
 class BlockSums:
     """Sums over the samples of a block, and when it is complete.
 
-    Parameters
-    ----------
-    duration : float
-        A block is complete after this [s] ...
-    compression : float
-        ... or when the compression has changed by more than this within [1].
-
-    Attributes
-    ----------
-    number : int
-        Of the last complete block.
+    A block is complete after a `duration` [s], or when the `compression` [1] has changed by more
+    within.
     """
 
     def __init__(self, duration: float, compression: float) -> None:
@@ -66,7 +55,7 @@ class BlockSums:
 
     def forget(self) -> None:
         """Drop all samples, and number the blocks anew."""
-        self.number = 0
+        self.number = 0  #: of the last complete block
         self.restart(0)
 
     def clear(self) -> None:
@@ -121,10 +110,10 @@ class BlockSums:
 
 
 class PhaseMeter:
-    """What the probe does, from the compression of the last blocks."""
+    """What the probe does, from the compression of the last 10 blocks."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[int, float]] = deque(maxlen=_RATE_BLOCKS)
+        self._recent: deque[tuple[int, float]] = deque(maxlen=10)
 
     def add(self, stamp_ns: int, compression: float) -> Phase:
         """Take the mean compression of a block that ended at `stamp_ns`; return the phase."""

@@ -9,14 +9,13 @@ import functools
 from dataclasses import dataclass, field
 
 from fden_ros.core.classification.classifier import TissueLibrary
-from fden_ros.core.classification.labelling import DecisionConfig, Labeller, Surroundings
-from fden_ros.core.classification.relative import RelativeConfig
+from fden_ros.core.classification.labelling import DecisionConfig, Labeller
+from fden_ros.core.classification.relative import RelativeConfig, Surroundings
 from fden_ros.core.contact.detector import ContactConfig
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law.geometry import Geometry, GeometryConfig
 from fden_ros.core.parameter import parameter
 from fden_ros.core.plausibility import PlausibilityConfig
-from fden_ros.core.streams.samples import lateral_distance
 from fden_ros.core.streams.synchronize import SynchronizeConfig
 
 #: Two touches this part of the probe's radius apart [1] are of two sites, which share most of
@@ -27,18 +26,11 @@ _SITE_PART, _LEAST_SITE, _LARGEST_SITE = 0.2, 5e-4, 2e-3
 
 @dataclass(frozen=True)
 class PipelineConfig:
-    """Configuration of all steps; times in seconds, SI units throughout.
+    """Configuration of all steps; times in seconds, SI units throughout."""
 
-    Parameters
-    ----------
-    library : TissueLibrary or None
-        Tissues to classify into; None: nothing is classified.
-    geometry : Geometry
-        From force and displacement to stress and strain. It must be stated: with the default
-        nothing is converged.
-    """
-
-    library: TissueLibrary | None
+    library: TissueLibrary | None  #: tissues to classify into; None: nothing is classified
+    #: From force and displacement to stress and strain. It must be stated: with the default
+    #: nothing is converged.
     geometry: Geometry = field(default_factory=lambda: GeometryConfig().build())
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
@@ -145,11 +137,8 @@ class PipelineConfig:
 
 def labeller_of(config: PipelineConfig) -> Labeller:
     """Return how contacts are labelled."""
-    if config.classification == "library":
-        return Labeller(config.library, config.estimator, config.decision)
-    apart = functools.partial(lateral_distance, config.contact.approach_axis)
-    relative = config.relative
-    surroundings = Surroundings(relative, config.apparent_stiffness_time_scale, apart)
-    return Labeller(
-        config.library, config.estimator, config.decision, relative.ratio, surroundings
-    )
+    surroundings = None
+    if config.classification == "relative":
+        axis, time_scale = config.contact.approach_axis, config.apparent_stiffness_time_scale
+        surroundings = Surroundings(config.relative, time_scale, axis)
+    return Labeller(config.library, config.estimator, config.decision, surroundings)

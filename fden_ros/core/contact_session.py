@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
+from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact.air import least_noise
@@ -25,34 +26,18 @@ from fden_ros.core.outputs import (
     order_source,
 )
 from fden_ros.core.plausibility import Plausibility, Tilt
-from fden_ros.core.site import Site, dips, prepare
-from fden_ros.core.site_contact import Common, Contact
-from fden_ros.core.streams.samples import Pair, Position
+from fden_ros.core.site import prepare
+from fden_ros.core.site_contact import Contact
+from fden_ros.core.sites import Sites
+from fden_ros.core.streams.samples import Pair
 from fden_ros.core.strokes import Strokes
-
-#: Sites whose tissue is remembered, so that a place that is pressed again is known [1].
-_MOST_VISITED = 16
 
 
 class ContactSession:
     """One press after the other.
 
-    Parameters
-    ----------
-    config : PipelineConfig
-    rejected : collections.Counter
-        Counts of rejected samples so far.
-    path_noise : callable
-        Returns the noise of the motion so far [m^2 s].
-    flags : Flag
-        What stands against every estimate.
-
-    Attributes
-    ----------
-    site_count, contact_count : int
-        So far.
-    rig : RigKnowledge
-        What is known of the rig.
+    `path_noise` returns the noise of the motion so far [m^2 s]; `flags` stand against every
+    estimate.
     """
 
     def __init__(
@@ -62,8 +47,9 @@ class ContactSession:
         path_noise: Callable[[], float],
         flags: Flag,
     ) -> None:
-        self.site_count = self.contact_count = 0
+        self.contact_count = 0  #: so far
         self._config, self._path_noise, self._flags = config, path_noise, flags
+        self._sites = Sites(config, flags)
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
         self._tilt = Tilt(config.geometry)
         self._strokes = Strokes()
@@ -84,8 +70,7 @@ class ContactSession:
         `keeps_contact`: a detector in contact waits for the release, and keeps the air's force
         until there is air again.
         """
-        self._site: Site | None = None
-        self._visited: list[Site] = []
+        self._sites.forget()
         self._contact: Contact | None = None  # the newest
         self._strokes.forget()
         self._common.labeller.forget()
@@ -95,11 +80,16 @@ class ContactSession:
 
     def forget_rig(self) -> None:
         """Let the next site begin with what is stated of the rig."""
-        self.rig = RigKnowledge.stated(self._config.estimator)
+        self.rig = RigKnowledge.stated(self._config.estimator)  #: what is known of the rig
         # These began with what is forgotten now.
         newest = [self._contact.site] if self._contact is not None else []
-        for site in (*self._visited, *newest):
-            site.teaches = False
+        for site in (*self._sites.visited, *newest):
+            site.lessons.count = False
+
+    @property
+    def site_count(self) -> int:
+        """Sites so far."""
+        return self._sites.count
 
     @property
     def in_contact(self) -> bool:
@@ -110,9 +100,10 @@ class ContactSession:
     def place(self) -> tuple[int, int]:
         """Numbers of the present site and contact; 0: there is none."""
         contact = self._contact
-        if contact is not None and contact.is_open:
+        if contact is not None and contact.state.is_open:
             return contact.site.site_id, contact.contact_id
-        return (self._site.site_id if self._site is not None else 0), 0
+        site = self._sites.present
+        return (site.site_id if site is not None else 0), 0
 
     @property
     def air_events(self) -> tuple[int, int, bool]:
@@ -168,7 +159,7 @@ class ContactSession:
         if isinstance(event, Onset):
             self._strokes.touch(event)
             yield from self._touch(event)
-        elif contact is None or contact.has_left:
+        elif contact is None or contact.state.has_left:
             yield from self._hover(pair)
         else:
             yield from contact.take(pair)
@@ -185,46 +176,16 @@ class ContactSession:
 
     def _touch(self, onset: Onset) -> Iterator[Output]:
         first, newest = onset.samples[0], onset.samples[-1]
-        before, stamp_ns = self._site, newest.stamp_ns
+        before, stamp_ns = self._sites.present, newest.stamp_ns
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
         self._tilt.see(newest.tilt)
-        site = self._site = self._site_of(onset)
+        site = self._sites.of(onset, self._detector.left_unseen_ns, self.rig)
         site.check_history(onset)
         self.contact_count += 1
-        self._contact = Contact(
-            self.contact_count,
-            onset,
-            site,
-            self._detector.release_threshold,
-            self._common,
-            is_air_proved=self._contact is not None and self._contact.is_air_proved,
-        )
+        is_air_proved = self._contact is not None and self._contact.is_air_proved
+        self._contact = Contact(self.contact_count, onset, site, self._common, is_air_proved)
         yield from self._contact.begin(self._path_noise(), before)
-
-    def _site_of(self, onset: Onset) -> Site:
-        """Return the site that is touched: the last one, or another."""
-        before, first = self._site, onset.samples[0]
-        is_elsewhere = before.is_elsewhere(onset) if before is not None else True
-        if before is not None and is_elsewhere is False:
-            return before
-        if before is not None and is_elsewhere:
-            before.put_away()
-        site = self._visited_before(first.position)
-        if site is None:
-            self.site_count += 1
-            site = Site(self.site_count, onset, self._config, self.rig, self._flags)
-            self._visited = [*self._visited[1 - _MOST_VISITED :], site]
-        left_ns = self._detector.left_unseen_ns
-        is_doubted = left_ns is not None and dips(first.stamp_ns - left_ns)
-        if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
-            site.withdraw()
-        return site
-
-    def _visited_before(self, position: Position | None) -> Site | None:
-        """Return the site of an earlier touch at a position; None: there is none to go on from."""
-        known = reversed(self._visited)
-        return next((site for site in known if site.is_observed and site.is_at(position)), None)
 
     def _hover(self, pair: Pair) -> Iterator[Output]:
         """Take a pair in the air; give a state per duration of a block, and what is due."""
@@ -239,7 +200,7 @@ class ContactSession:
 
     def _state(self, stamp_ns: int) -> TissueState:
         """Return the state in the air."""
-        site = self._site
+        site = self._sites.present
         estimate = site.usable_estimate if site is not None else None
         return TissueState(
             stamp_ns=stamp_ns,
@@ -271,14 +232,12 @@ class ContactSession:
 
     def _release(self, stamp_ns: int) -> Iterator[Output]:
         contact = self._contact
-        if contact is None or contact.has_left:
+        if contact is None or contact.state.has_left:
             return
         yield from contact.release(stamp_ns)
         self._common.sums.clear()
         if contact.is_faint:
-            # What comes next must not inherit its origin.
-            self._visited = [site for site in self._visited if site is not self._site]
-            self._site = None
+            self._sites.drop()
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
         """Take note that samples are missing since a stamp.
@@ -303,7 +262,9 @@ class ContactSession:
         """End contact and site after an exception."""
         self._common.sums.clear()
         contact = self._contact
-        site = contact.site if contact is not None and contact.is_open else self._site
+        site = (
+            contact.site if contact is not None and contact.state.is_open else self._sites.present
+        )
         if site is None:
             return
         site.fail()

@@ -21,7 +21,7 @@ from collections import Counter
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.oscillation.complex_modulus import ComplexModulus
+from fden_ros.core.oscillation.complex_modulus import LEAST_AMPLITUDE, ComplexModulus
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.palpation import Palpated
 from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
@@ -38,8 +38,6 @@ from fden_ros.core.outputs import (
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
 
-#: Least amplitude, as a part of the geometry's length.
-_LEAST_AMPLITUDE = 1e-4
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0
 
@@ -68,62 +66,49 @@ class _MeanPosition:
         return x, y, z
 
 
-class Window:
-    """The samples of one window of the palpation."""
+class Stretch:
+    """What is gathered over some time: of a window of the palpation, or of a place."""
 
-    def __init__(self) -> None:
-        self.samples = self.stop_ns = self.start_ns = 0
+    def __init__(self, start_ns: int) -> None:
+        self.start_ns = self.end_ns = start_ns
+        self.samples = 0
         self.max_force = 0.0
         self.position = _MeanPosition()
+
+    def _add(self, end_ns: int, samples: int, force: float, position: Position | None) -> None:
+        self.end_ns = end_ns
+        self.samples += samples
+        self.max_force = max(self.max_force, force)
+        self.position.add(position)
+
+
+class Window(Stretch):
+    """The samples of one window of the palpation."""
 
     def take(self, pair: Pair) -> None:
         """Take a sample."""
-        self.start_ns = self.start_ns or pair.stamp_ns
-        self.stop_ns = pair.stamp_ns
-        self.samples += 1
-        self.max_force = max(self.max_force, pair.force)
-        self.position.add(pair.position)
+        self._add(pair.stamp_ns, 1, pair.force, pair.position)
 
 
-class Place:
+class Place(Stretch):
     """What is gathered at one place of the path."""
 
-    def __init__(self, number: int, start_ns: int, position: Position | None) -> None:
+    def __init__(self, number: int, window: Window, rejected: int) -> None:
+        super().__init__(window.start_ns)
         self.number = number
-        self.start_ns = self.end_ns = start_ns
-        self.first = position
-        self.samples = 0
-        self.max_force = 0.0
+        self.first = window.position.value
         self.flags = Flag.ORIGIN_UNCERTAIN
-        self.rejected = 0
+        self.rejected = rejected  #: samples before it
         self.found: Palpated | None = None
-        self.position = _MeanPosition()
 
     def take(self, window: Window, found: Palpated | None) -> None:
         """Take a window of this place."""
-        self.end_ns = window.stop_ns
-        self.samples += window.samples
-        self.max_force = max(self.max_force, window.max_force)
+        self._add(window.end_ns, window.samples, window.max_force, window.position.value)
         self.found = found if found is not None else self.found
-        self.position.add(window.position.value)
 
 
 class ContinuousSession:
-    """From pairs to states, moduli and one summary a place.
-
-    Parameters
-    ----------
-    config : PipelineConfig
-    rejected : collections.Counter
-        Counts of rejected samples so far.
-
-    Attributes
-    ----------
-    site_count : int
-        Places so far: number of the newest.
-    rig : RigKnowledge
-        What is stated of the rig: nothing is learned.
-    """
+    """From pairs to states, moduli and one summary a place."""
 
     #: No touch is looked for.
     in_contact = never_lifts = False
@@ -131,7 +116,8 @@ class ContinuousSession:
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected
-        self.site_count = 0
+        self.site_count = 0  #: places so far: number of the newest
+        #: What is stated of the rig: nothing is learned.
         self.rig = RigKnowledge.stated(config.estimator)
         self._place: Place | None = None
         # A sphere's modulus would need its depth.
@@ -154,14 +140,14 @@ class ContinuousSession:
         config, frequencies = self._config, self._config.dither_frequencies
         self._meter = PalpationMeter(
             frequencies[0] if frequencies else None,
-            _LEAST_AMPLITUDE * config.geometry.length,
+            LEAST_AMPLITUDE * config.geometry.length,
             config.apparent_stiffness_time_scale,
             config.estimator,
             config.geometry.length if self._is_flat else None,
         )
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
-        self._window = Window()
+        self._window = Window(0)
 
     def forget_rig(self) -> None:
         """Do nothing: nothing was learned of the rig."""
@@ -203,12 +189,12 @@ class ContinuousSession:
             self._blocks.restart(pair.stamp_ns)
         outputs: list[Output] = []
         time = self._elapsed = (pair.stamp_ns - self._start_ns) / NANOSECONDS
-        displacement = pair.displacement - self._config.contact.series_compliance * pair.force
+        displacement = self._config.contact.compliance_free(pair, pair.force)
         measured = self._meter.add(time, displacement, pair.force)
         if measured is not None:
             outputs += self._close_window(measured, pair.stamp_ns)
-        if self._meter.begins_window:
-            self._window = Window()
+        if self._meter.begins_window or not self._window.samples:
+            self._window = Window(pair.stamp_ns)
         self._window.take(pair)
         if self._blocks.passes(pair.stamp_ns):
             outputs.append(self._state(pair.stamp_ns, time, displacement))
@@ -237,8 +223,7 @@ class ContinuousSession:
             outputs = self._leave(stamp_ns, complete=True)
             self.site_count += 1
             self._meter.move_on()
-            place = self._place = Place(self.site_count, window.start_ns, position)
-            place.rejected = self._rejected.total()
+            place = self._place = Place(self.site_count, window, self._rejected.total())
         place.take(window, found)
         return outputs
 

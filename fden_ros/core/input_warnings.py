@@ -14,12 +14,6 @@ from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 
 #: Samples that are usually without a partner when two streams begin.
 _USUAL_UNPAIRED = 2
-_DRIFT = "the force drifts in the air: tare, or let the sensor warm up"
-#: Where no touch was seen it may be the tissue's.
-_RISE = (
-    "the force rises without a touch: did the data begin in contact (begin in the air; a testing "
-    "machine's table: --from-touch), or does it drift (tare, or let the sensor warm up)?"
-)
 #: Means over this time are compared with the first of them [ns].
 _BLOCK_NS = 100_000_000
 
@@ -88,7 +82,6 @@ def input_warnings(
 
     Parameters
     ----------
-    config : SynchronizeConfig
     synchronizer, direction
         What saw the samples.
     air_events : tuple of int
@@ -100,12 +93,20 @@ def input_warnings(
         How often the clock jumped.
     """
     falls, drifts, has_air = air_events
+    rise = "the force drifts in the air: tare, or let the sensor warm up"
+    if not has_air:
+        # It may be the tissue's.
+        rise = (
+            "the force rises without a touch: did the data begin in contact (begin in the air; a "
+            "testing machine's table: --from-touch), or does it drift (tare, or let the sensor "
+            "warm up)?"
+        )
     counts = {
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,
         of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
         "the clock jumped back: everything learned was reset": clock_jumps,
         f"the force fell below its value in the air: {direction.hint}": falls,
-        _DRIFT if has_air else _RISE: drifts,
+        rise: drifts,
         "the force repeated one value: is the sensor dead, or at its end?": rejected.get(
             f"force.{Reason.STUCK}", 0
         ),

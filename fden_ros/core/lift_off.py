@@ -54,14 +54,7 @@ class LiftOff:
     The first touch of a site says where the origin is, so there the law holds from the origin on;
     later ones meet a surface that still recovers.
 
-    Parameters
-    ----------
-    release_force : float
-        Below it the probe is no longer pressing [N].
-    stress_per_force : float
-        [1/m^2].
-    is_first : bool
-        Of the site.
+    The probe is no longer pressing below `release_force` [N]; `is_first`: of the site.
     """
 
     def __init__(self, release_force: float, stress_per_force: float, *, is_first: bool) -> None:

@@ -26,18 +26,7 @@ _SLACK = 0.125
 
 
 class MeasuredContacts:
-    """Measures the stiffness, and keeps that of the newest contacts.
-
-    Parameters
-    ----------
-    config : PipelineConfig
-
-    Attributes
-    ----------
-    unseen : BothWays
-        That of motion outside of any contact, where it was deepest: in the air, or where no touch
-        was seen.
-    """
+    """Measures the stiffness, and keeps that of the newest contacts."""
 
     def __init__(self, config: PipelineConfig) -> None:
         contact = config.contact
@@ -48,6 +37,8 @@ class MeasuredContacts:
             config.block_duration,
             config.geometry.length,
         )
+        #: That of motion outside of any contact, where it was deepest: in the air, or where no
+        #: touch was seen.
         self.unseen = NOT_MEASURED
         self._found: dict[int, BothWays] = {}
         self._was_in_contact = False

@@ -18,6 +18,7 @@ the last run, where these are larger, and what the cubic part bends the slope by
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from typing import NamedTuple
 
@@ -62,9 +63,6 @@ _LEAST_OF_LAST = 0.25
 _NOISE_SAMPLES = 64
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 2.0) / math.sqrt(20.0)
-_NORMAL_95 = 1.959964
-#: Residuals that are all 0 have no correlation [1].
-_TINY = 1e-300
 
 
 class MeasuredStiffness(NamedTuple):
@@ -150,18 +148,8 @@ class _Open:
 class _Run:
     """Motion in one direction, from a displacement on.
 
-    Parameters
-    ----------
-    sign : float
-        1: into the tissue, -1: out of it.
-    start : float
-        Where it begins [m].
-    stamp_ns : int
-        When.
-    length : float
-        Of a piece, at least [m].
-    least_change : float
-        It says nothing before the force has changed by this [N].
+    `sign` is 1 into the tissue and -1 out of it, `length` the least of a piece [m]. It says
+    nothing before the force has changed by `least_change` [N].
     """
 
     def __init__(
@@ -410,13 +398,13 @@ def _windows(columns: Array, counts: list[int], noise: float) -> _Windows:
     scaled = np.where(is_in, residuals / np.sqrt(variances), 0.0)
     freedom, total = np.array(counts) - 4, (scaled**2).sum(axis=1)
     lagged = (scaled[:, 1:] * scaled[:, :-1]).sum(axis=1)
-    # A negative correlation of neighbours narrows nothing.
-    correlated = np.clip(lagged / np.maximum(total, _TINY), 0.0, _MOST_CORRELATED)
+    # A negative correlation of neighbours narrows nothing; residuals that are all 0 have none.
+    correlated = np.clip(lagged / np.maximum(total, sys.float_info.min), 0.0, _MOST_CORRELATED)
     own = total / freedom * (1.0 + correlated) / (1.0 - correlated)
     of_sample = np.maximum(own, noise**2)
     by_noise = of_sample * (line**2 @ variances)
     bent = (bend @ forces) ** 2 - of_sample * (bend**2 @ variances)
-    student = stdtrit(freedom, 0.975) / _NORMAL_95
+    student = stdtrit(freedom, 0.975) / 1.959964  # of the normal distribution
     sds = np.sqrt(student**2 * by_noise + np.maximum(bent, 0.0)) / half[:, 0]
     lines = line @ forces / half[:, 0]
     return _Windows(widths, middles, lines, sds, np.sqrt(of_sample), np.sqrt(own))

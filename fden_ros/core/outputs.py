@@ -209,27 +209,15 @@ def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
     None: there was none yet; the stamp then is 0, and the flags are `flags`.
     """
     if state is None:
-        return TissueState(
-            stamp_ns=0,
-            status=Status.STALE,
-            flags=flags,
-            site_id=0,
-            contact_id=0,
-            phase=Phase.NONE,
-        )
-    return replace(
-        state,
+        return TissueState(0, Status.STALE, flags, site_id=0, contact_id=0, phase=Phase.NONE)
+    return TissueState(
         # A stamp of its own, and before that of any sample to come.
         stamp_ns=state.stamp_ns + 1,
         status=Status.STALE,
+        flags=state.flags,
+        site_id=state.site_id,
+        contact_id=state.contact_id,
         phase=Phase.NONE,
-        estimate=None,
-        signals=None,
-        innovation=None,
-        apparent_stiffness=None,
-        measured=NOT_MEASURED,
-        order_source=OrderSource.NONE,
-        lag=0.0,
     )
 
 

@@ -107,7 +107,6 @@ class FractionalStressEstimator(Estimator):
 
     Parameters
     ----------
-    config : EstimatorConfig
     geometry : Geometry
         For the strain at a compression.
     noise_sd : float
@@ -117,11 +116,7 @@ class FractionalStressEstimator(Estimator):
     """
 
     def __init__(
-        self,
-        config: EstimatorConfig,
-        geometry: Geometry,
-        noise_sd: float,
-        origin_sd: float = 0.0,
+        self, config: EstimatorConfig, geometry: Geometry, noise_sd: float, origin_sd: float = 0.0
     ) -> None:
         self._config, self._geometry = config, geometry
         prior, order = config.prior, config.prior.fractional_order

@@ -11,8 +11,7 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 from fden_ros.core.config import PipelineConfig
@@ -22,14 +21,8 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
 from fden_ros.core.measured_contacts import MeasuredContacts
 from fden_ros.core.measured_stiffness import BothWays
-from fden_ros.core.outputs import (
-    ContactSummary,
-    Failure,
-    Flag,
-    Output,
-    TissueState,
-    failure_of,
-)
+from fden_ros.core.outlet import Outlet
+from fden_ros.core.outputs import Failure, Flag, Output, failure_of
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.streams.frames import StaticLinks
 from fden_ros.core.streams.guard import GapGuard
@@ -37,58 +30,36 @@ from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
 from fden_ros.core.streams.synchronize import Synchronizer
 
-#: Failures are kept up to this number, the newest.
-_FAILURES_KEPT = 20
-
 
 class Pipeline:
     """From samples to :class:`TissueState`, :class:`Classification` and :class:`ContactSummary`.
 
     Parameters
     ----------
-    config : PipelineConfig
     emit : callable
         Called with every output, in order of stamps. What it raises is not caught.
-
-    Attributes
-    ----------
-    rejected : collections.Counter
-        Counts of rejected samples, keyed ``"<stream>.<reason>"``.
-    pair_count : int
-        Pairs so far.
-    newest_ns : int
-        Stamp of the newest pair.
-    failures : deque of Failure
-        The newest exceptions of the computation. Each ended one contact and its site, both
-        flagged :attr:`Flag.ESTIMATION_FAILED`; the next site begins afresh.
-    failure_count : int
-        How many there were.
-    problems : tuple of str
-        What stands against every estimate from the start, a sentence each.
-    standing_flags : Flag
-        The flags of that.
     """
 
-    def __init__(
-        self,
-        config: PipelineConfig,
-        emit: Callable[[Output], None],
-    ) -> None:
+    def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:
         self.config = config
+        #: Counts of rejected samples, keyed ``"<stream>.<reason>"``.
         self.rejected: Counter[str] = Counter()
-        self.pair_count = self.newest_ns = 0
-        self.failures: deque[Failure] = deque(maxlen=_FAILURES_KEPT)
-        self.failure_count = 0
-        self._emit_output = emit
-        self._listener_error: Exception | None = None
+        self.pair_count = 0  #: pairs so far
+        self.newest_ns = 0  #: stamp of the newest pair
+        #: The newest exceptions of the computation. Each ended one contact and its site, both
+        #: flagged :attr:`Flag.ESTIMATION_FAILED`; the next site begins afresh.
+        self.failures: deque[Failure] = deque(maxlen=20)
+        self.failure_count = 0  #: how many there were
+        #: What stands against every estimate from the start, a sentence each, and its flags.
+        self.problems, self.standing_flags = _problems(config)
         self._clock_jumps = 0
         self._tare_offset = 0.0
         # They come once, and outlive a reset.
         self._statics = StaticLinks()
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._direction = Direction()
-        self.problems, self.standing_flags = _problems(config)
         self._measured = MeasuredContacts(config)
+        self._outlet = Outlet(emit, self.rejected, self._measured)
         self._restart_streams()
         self._session: ContactSession | ContinuousSession
         if config.is_continuous:
@@ -102,7 +73,7 @@ class Pipeline:
     def _begin_epoch(self, epoch: int) -> None:
         self._epoch = epoch
         self._gaps = GapGuard()
-        self._rejected_reported = self.rejected.total()
+        self._outlet.restart()
 
     def _restart_streams(self) -> None:
         self._synchronizer = Synchronizer(
@@ -220,7 +191,7 @@ class Pipeline:
         """Forget what was learned but of the rig; return None, or why that cannot be done now."""
         if self._session.in_contact:
             return "the probe is in contact: lift it, then reset"
-        self._put_out(self._session.break_off(self.newest_ns))
+        self._outlet.put(self._session.break_off(self.newest_ns))
         self._session.forget()
         self._measured.forget()
         self._restart_streams()
@@ -234,7 +205,7 @@ class Pipeline:
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
         try:
-            self._put_out(self._session.finish(self.newest_ns))
+            self._outlet.put(self._session.finish(self.newest_ns))
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -242,14 +213,7 @@ class Pipeline:
     def transform_problem(self) -> str:
         """Why no force has found its transforms yet, in words; empty: there is nothing to say."""
         frames = self._synchronizer.frames
-        if self.pair_count or frames is None or not frames.missing:
-            return ""
-        known = ", ".join(frames.known) or "none"
-        base = self.config.synchronize.frames.base if self.config.synchronize.frames else ""
-        return (
-            f"no chain of transforms leads from {frames.missing} to {base}: /tf and /tf_static "
-            f"name {known}; set frames.base and frames.probe to frames that are connected"
-        )
+        return "" if self.pair_count or frames is None else frames.problem
 
     @property
     def is_failed(self) -> bool:
@@ -285,55 +249,34 @@ class Pipeline:
         try:
             if pair.epoch != self._epoch:
                 self._clock_jumps += 1
-                self._put_out(self._session.break_off(self.newest_ns))
+                self._outlet.put(self._session.break_off(self.newest_ns))
                 self._session.forget(keeps_contact=True)
                 self._measured.forget()
                 self._begin_epoch(pair.epoch)
             gap_ns = self._gaps.step(pair.stamp_ns)
             if gap_ns:
                 is_long = gap_ns > self._max_gap_ns
-                self._put_out(self._session.see_gap(self.newest_ns, is_long=is_long))
+                self._outlet.put(self._session.see_gap(self.newest_ns, is_long=is_long))
                 self._measured.skip()
             self.pair_count += 1
             self.newest_ns = pair.stamp_ns
             self._measured.add(pair)
-            self._put_out(self._session.take(pair))
+            self._outlet.put(self._session.take(pair))
             session = self._session
             self._measured.assign(session.contact_count, in_contact=session.in_contact)
         except Exception as error:
             self._fail(pair.stamp_ns, error)
-
-    # Outputs
-
-    def _put_out(self, outputs: Iterable[Output]) -> None:
-        for output in outputs:
-            self._emit(output)
-
-    def _emit(self, output: Output) -> None:
-        if isinstance(output, TissueState) and self.rejected.total() != self._rejected_reported:
-            # Samples were rejected since the last state.
-            self._rejected_reported = self.rejected.total()
-            output = replace(output, flags=output.flags | Flag.INPUT_REJECTED)
-        if isinstance(output, TissueState):
-            output = replace(output, measured=self._measured.newest)
-        elif isinstance(output, ContactSummary):
-            output = replace(output, measured=self._measured.of(output.contact_id))
-        try:
-            self._emit_output(output)
-        except Exception as error:
-            self._listener_error = error
-            raise
 
     def _fail(self, stamp_ns: int, error: Exception) -> None:
         """Take note of an exception, and end the contact and the site it came from.
 
         What the listener to the outputs raised is raised again.
         """
-        if error is self._listener_error:
+        if self._outlet.has_raised(error):
             raise error
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
-        self._put_out(self._session.fail(stamp_ns))
+        self._outlet.put(self._session.fail(stamp_ns))
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from fden_ros.core.contact.detector import Onset
@@ -18,7 +19,7 @@ from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.law.characteristic import elastic_response
 from fden_ros.core.law.geometry import FlatPunch, Geometry
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.guard import USUAL_SAMPLES, StreamGuard
 from fden_ros.core.streams.samples import NANOSECONDS
 from fden_ros.written import written
 
@@ -61,7 +62,8 @@ _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
-#: Strain from which on a contact is judged before it is over: at less the origin counts.
+#: Strain from which on a contact is judged before it is over, as a press likely has it: at less
+#: the origin counts.
 _LEAST_STRAIN = 0.05
 #: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
 #: cosine is 0.996.
@@ -70,10 +72,8 @@ _TILTED = 0.087
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
 _GROWTH = 1.1
-#: Least count of samples of a stream that are judged.
-_MIN_SAMPLES = 32
-#: What is likely of a press, for a factor to be named: strain, force [N], strain rate [1/s].
-_LIKELY_STRAIN, _LIKELY_FORCE, _LIKELY_RATE = 0.05, (0.02, 50.0), (0.01, 100.0)
+#: What is likely of a press, for a factor to be named: force [N], strain rate [1/s].
+_LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
 _LENGTHS = {"mm": 1e-3, "mm/10": 1e-4, "cm": 1e-2, "um": 1e-6}
 _FORCES = {"g": 9.80665e-3, "mN": 1e-3}
@@ -99,12 +99,7 @@ def stands_against(geometry: Geometry) -> str:
 
 
 class Tilt:
-    """Tells of probes that touch askew, and what it costs.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    """
+    """Tells of probes that touch askew, and what it costs."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
@@ -128,28 +123,15 @@ class Tilt:
 
 
 class Plausibility:
-    """Judges contacts and streams.
-
-    Parameters
-    ----------
-    config : PlausibilityConfig
-    geometry : Geometry
-    prior : Prior
-        Of the tissue.
-
-    Attributes
-    ----------
-    counts : Counter
-        Contacts that were found implausible, by the kind of reason.
-    standing : str
-        Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
-    """
+    """Judges contacts and streams."""
 
     def __init__(self, config: PlausibilityConfig, geometry: Geometry, prior: Prior) -> None:
         self._config, self._geometry, self._prior = config, geometry, prior
+        #: Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
         self.standing = stands_against(geometry)
         self._low, self._high = _stiffness_range(geometry, prior)
         self._words: dict[str, str] = {}
+        #: Contacts that were found implausible, by the kind of reason.
         self.counts: Counter[str] = Counter()
         self._start_ns = 0
         self._step = 0.0
@@ -208,8 +190,7 @@ class Plausibility:
         if strain <= most:
             return ""
         depth, deepest = geometry.compression(strain), geometry.compression(most)
-        values = {name: geometry.strain(depth * factor) for name, factor in _LENGTHS.items()}
-        asked = _asked(values, _LENGTHS, _LIKELY_STRAIN, most)
+        asked = _asked(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
         if not asked:
             factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
             then = geometry.strain(depth * factor)
@@ -223,9 +204,7 @@ class Plausibility:
         most = self._config.most_force
         if force <= most or self._geometry.unit != "N":
             return ""
-        asked = _asked(
-            {name: force * factor for name, factor in _FORCES.items()}, _FORCES, *_LIKELY_FORCE
-        )
+        asked = _asked(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
         return (
             f"a contact reached {written(force, 3)} N, more than plausible.force ({most:g} N): is "
             f"the force in {asked or 'N'}? If it is that large, set plausible.force to "
@@ -241,10 +220,7 @@ class Plausibility:
         least = self._config.least_strain_rate
         if self._step < _SLOW_STEP or strain >= least * elapsed:
             return ""
-        asked = _asked(
-            {name: strain / elapsed / factor for name, factor in _TIMES.items()},
-            _TIMES, *_LIKELY_RATE,
-        )  # fmt: skip
+        asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
             f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: "
@@ -264,14 +240,8 @@ class Plausibility:
         if least <= math.log(self._high) and most >= math.log(self._low):
             return ""
         ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
-        units = {**_FORCES, "kN": 1e3}
-        likely = (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
-        asked = _asked(
-            {name: ratio * factor for name, factor in units.items()},
-            units,
-            *likely,
-            is_shown=False,
-        )
+        units, likely = {**_FORCES, "kN": 1e3}, (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
+        asked = _asked(units, lambda f: ratio * f, *likely, is_shown=False)
         if ratio > 1.0 and strain < _LEAST_STRAIN:
             asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
         return (
@@ -285,7 +255,7 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
 
     `limit` is that of its magnitude [N, m].
     """
-    if guard.too_large > max(_MIN_SAMPLES, guard.accepted):
+    if guard.too_large > max(USUAL_SAMPLES, guard.accepted):
         units = _FORCES if name == "force" else _LENGTHS
         unit = "N" if name == "force" else "m"
         words = " or ".join(f"{u} (factor {units[u]:.3g})" for u in list(units)[:2])
@@ -293,9 +263,9 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
             f"most samples of the {name} are beyond {name}.limit ({limit:g} {unit}), up to "
             f"{written(guard.largest, 3)}: is it in {words}, not {unit}?"
         )
-    if 2 * guard.too_close > max(_MIN_SAMPLES, guard.accepted):
+    if 2 * guard.too_close > max(USUAL_SAMPLES, guard.accepted):
         return too_fast(guard.close_step)
-    if guard.accepted > _MIN_SAMPLES and guard.usual_step < _FASTEST_STEP:
+    if guard.accepted > USUAL_SAMPLES and guard.usual_step < _FASTEST_STEP:
         return too_fast(guard.usual_step)
     return ""
 
@@ -320,8 +290,8 @@ def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
 
 
 def _asked(
-    values: dict[str, float],
     factors: dict[str, float],
+    value: Callable[[float], float],
     low: float,
     high: float,
     *,
@@ -329,7 +299,7 @@ def _asked(
 ) -> str:
     """Return the units whose value is likely, each with its factor and, if shown, its value."""
     return " or ".join(
-        f"{name} (factor {factors[name]:.3g}" + (f": {value:.2g})" if is_shown else ")")
-        for name, value in values.items()
-        if low <= value <= high
+        f"{name} (factor {factor:.3g}" + (f": {value(factor):.2g})" if is_shown else ")")
+        for name, factor in factors.items()
+        if low <= value(factor) <= high
     )

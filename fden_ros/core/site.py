@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 import copy
-import enum
 import math
-import sys
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
@@ -26,27 +23,18 @@ from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
 from fden_ros.core.law.stress_memory import StressMemory
+from fden_ros.core.lessons import Lessons
 from fden_ros.core.lift_off import KnownTissue, LiftOff
-from fden_ros.core.outputs import WITHHELD, Flag
+from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
+from fden_ros.core.outputs import Flag
 from fden_ros.core.paper_filter import FractionalStressEstimator
-from fden_ros.core.streams.samples import (
-    NANOSECONDS,
-    Pair,
-    Position,
-    lateral_distance,
-)
+from fden_ros.core.standing import Standing
+from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.whereabouts import Whereabouts
 
 #: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
 #: palpation of 1 Hz dips out of the tissue for at most half of its period.
 _DIP_TIME = 0.5
-#: The surface found at the touch starts the estimator; its standard deviation is multiplied by
-#: this, since the estimator sees those samples again.
-ORIGIN_WIDENING = 3.0
-#: The force where a touch is found is the mean of this number of samples.
-_DETECTED = 3
-#: A probe is dragged beyond this multiple of the distance of two sites, so that noise of the
-#: position drags none.
-_DRAGGED = 2.0
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
@@ -61,115 +49,32 @@ class Learned(NamedTuple):
     innovation: Innovation | None  #: None: the law does not hold for it
 
 
-class _Whereabouts:
-    """Where a site was touched, and where the probe has gone since."""
-
-    def __init__(self, first: Pair, config: PipelineConfig) -> None:
-        self._config, self._touched_at = config, first.displacement
-        self.touched = self.left = first.position
-
-    def is_apart(self, position: Position | None) -> bool | None:
-        """Whether a position is of another site; None: it is not known."""
-        if self.touched is None or position is None:
-            return None
-        config = self._config
-        apart = lateral_distance(config.contact.approach_axis, self.touched, position)
-        return apart > config.site_distance
-
-    def is_dragged(self, pair: Pair) -> bool:
-        """Whether the probe has gone aside from its touch, and farther than in.
-
-        It then presses on tissue whose past was not seen. What is not the displacement's part of
-        its path is aside, in whatever frame the approach axis is. (Along an axis that is tilted by
-        less than 45 degrees it goes less to the side than in.)
-        """
-        if self.touched is None or pair.position is None:
-            return False
-        path = math.dist(self.touched, pair.position)
-        inward = abs(pair.displacement - self._touched_at)
-        least = _DRAGGED * self._config.site_distance
-        return path**2 > inward**2 + max(least, inward) ** 2
-
-
-class SiteState(enum.IntEnum):
-    """Whether the tissue's past is known; it never goes back."""
-
-    OBSERVED = 0  #: from the first touch on, or that the tissue was at rest before
-    UNOBSERVED = 1  #: touch or past not seen, dragged, or a long gap
-    FAILED = 2  #: by an exception
-
-
-class Site:
+class Site(Standing):
     """One place on the tissue, from the first touch on.
 
-    Parameters
-    ----------
-    site_id : int
-    onset : Onset
-        Of the first touch.
-    config : PipelineConfig
-    rig : RigKnowledge
-        What is known of the rig before the first touch.
-    flags : Flag
-        What stands against every estimate.
+    `rig` is what is known of the rig before that, `flags` what stands against every estimate.
 
     Attributes
     ----------
-    state : SiteState
-    flags : Flag
-        What stands against every estimate of the site.
-    position : Position or None
-        Of the first touch [m].
-    origin : float
-        Nominal displacement at zero strain [m].
-    origin_sd : float
-        Its standard deviation, as compression [1].
-    known_rig : RigKnowledge
-        What was known of the rig before the first touch.
-    teaches : bool
-        Other sites may use what is learned here of rig and surface.
-    estimate : Estimate or None
-        The newest, with no more claimed than may be.
+    origin, origin_sd : float
+        Nominal displacement at zero strain [m]; its standard deviation, as compression [1].
     """
 
     def __init__(
-        self,
-        site_id: int,
-        onset: Onset,
-        config: PipelineConfig,
-        rig: RigKnowledge,
-        flags: Flag = Flag.NONE,
+        self, site_id: int, onset: Onset, config: PipelineConfig, rig: RigKnowledge, flags: Flag
     ) -> None:
+        super().__init__(config.estimator, flags)
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
-        self.position = first.position
-        self.state = SiteState.OBSERVED
-        self.flags = flags
-        self.known_rig = rig
-        self.teaches = True
-        self.estimate: Estimate | None = None
-        self._own: Estimate | None = None  # of the data alone
-        self._variance_factor = 1.0
-        #: For the surface's motion: of the newest contact, and of the newest that told.
-        self._motion: list[float] | None = None
-        self._told_motion: list[float] | None = None
+        self.position = first.position  #: of the first touch [m]
+        self.lessons = Lessons(config, rig)
         self._config = config
-        self._whereabouts = _Whereabouts(first, config)
+        self.whereabouts = Whereabouts(first, config)
         self.origin, self.origin_sd = origin_of(onset, config)
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
-
-    @property
-    def is_observed(self) -> bool:
-        """Whether the tissue's past is known, so that an estimate can be right."""
-        return self.state is SiteState.OBSERVED
-
-    @property
-    def usable_estimate(self) -> Estimate | None:
-        """The newest estimate, where the history has been seen."""
-        return self.estimate if self.is_observed else None
 
     @property
     def is_doubtful(self) -> bool:
@@ -207,7 +112,7 @@ class Site:
     def is_elsewhere(self, onset: Onset) -> bool | None:
         """Whether a touch is at another site; None: no positions, and after the timeout."""
         first = onset.samples[0]
-        is_apart = self._whereabouts.is_apart(first.position)
+        is_apart = self.whereabouts.is_apart(first.position)
         if is_apart is not None:
             return is_apart
         is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
@@ -218,10 +123,6 @@ class Site:
         if self._estimator is not None:
             self._estimator.put_away()
 
-    def is_at(self, position: Position | None) -> bool:
-        """Whether a position is known to be of this site."""
-        return self._whereabouts.is_apart(position) is False
-
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 
@@ -229,7 +130,7 @@ class Site:
         or in which it went as far to the side as to another site: the tissue that it meets next
         is of what it has just dragged along.
         """
-        has_slid = self._whereabouts.is_apart(self._whereabouts.left)
+        has_slid = self.whereabouts.is_apart(self.whereabouts.left)
         is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or bool(has_slid)
         return is_doubted and dips(stamp_ns - self._last_ns)
 
@@ -238,10 +139,10 @@ class Site:
         first = onset.samples[0]
         # A site that was pressed before needs no surface, only to be left alone in between.
         is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
-        if not is_followed and not _begins_at_origin(first, self._config):
+        if not is_followed and not begins_at_origin(first, self._config):
             self.withdraw()
 
-    def touch(self, onset: Onset, release_force: float, noise: float, before: Site | None) -> None:
+    def touch(self, onset: Onset, noise: float, before: Site | None) -> None:
         """Let the tissue relax until a touch, and start the estimator.
 
         `noise` is that of displacement and surface: variance per sample times the time between
@@ -250,10 +151,10 @@ class Site:
         config, first = self._config, onset.samples[0]
         scale = config.geometry.stress_per_force
         is_first = first.stamp_ns == self.start_ns
-        self._lift_off = LiftOff(release_force, scale, is_first=is_first)
+        self._lift_off = LiftOff(onset.release_force, scale, is_first=is_first)
         if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
-            new = _new_estimator(config, noise_sd, origin_sd, noise, self.known_rig)
+            new = _new_estimator(config, noise_sd, origin_sd, noise, self.lessons.known)
             if before is not None and before.is_elsewhere(onset) is None:
                 before.may_go_on_as(new, onset, self)
             self._estimator = new
@@ -276,7 +177,7 @@ class Site:
             return
         own.rest(self._pause_until(onset.samples[0].stamp_ns))
         shift = (other.origin - self.origin) / self._config.geometry.length
-        found = _found_sd(onset, self._config)
+        found = found_sd(onset, self._config)
         wider = math.log(other.origin_sd / found) if other.origin_sd and found else 0.0
         new.may_be_of(own, shift, wider)
 
@@ -313,8 +214,8 @@ class Site:
         stress, step = force * geometry.stress_per_force, self._seconds_to(pair.stamp_ns)
         is_free = self._lift_off.is_free(step, force, compression, self._known)
         if not is_free:
-            self._whereabouts.left = pair.position
-            if self.is_observed and self._whereabouts.is_dragged(pair):
+            self.whereabouts.left = pair.position
+            if self.is_observed and self.whereabouts.is_dragged(pair):
                 self.withdraw()
         if learns and self.is_observed and self._estimator is not None:
             self._estimator.take(step, compression, stress, is_free=is_free)
@@ -345,38 +246,13 @@ class Site:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
                 # A contact that is told as it ends has silent blocks alone.
-                self._find(_checked(self._estimator.estimate()))
+                self.find(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
-
-    # What stands against the estimate
-
-    def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
-        """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
-        self.flags |= flag
-        self._variance_factor = max(self._variance_factor, variance_factor)
-        self._find(self._own)
-
-    def withdraw(self, flag: Flag = Flag.ORIGIN_UNCERTAIN) -> None:
-        """Say nothing any more: the tissue under the probe has a past that was not seen."""
-        self._go(SiteState.UNOBSERVED, flag)
 
     def fail(self) -> None:
         """Say nothing any more, after an exception."""
-        self._go(SiteState.FAILED, Flag.ESTIMATION_FAILED)
+        super().fail()
         self._estimator = None
-        self._find(None)
-
-    def _go(self, state: SiteState, flag: Flag) -> None:
-        self.state = max(self.state, state)
-        self.flags |= flag
-
-    def _find(self, own: Estimate | None) -> None:
-        """Take the newest estimate of the data alone, less what stands against it."""
-        self._own = self.estimate = own
-        if own is not None:
-            is_withheld = bool(self.flags & WITHHELD)
-            found = Reservations(variance_factor=self._variance_factor, is_withheld=is_withheld)
-            self.estimate = reserved(self._config.estimator, own, found)
 
     # The end of a contact
 
@@ -402,15 +278,12 @@ class Site:
 
     def leave(self) -> None:
         """Bring the estimate to its best at the end of a contact, as was begun."""
-        estimator, known = self._ending, self.known_rig
+        estimator = self._ending
         if estimator is None:
             return
         estimator.finish()
-        self._find(_checked(estimator.estimate()))
-        teaches = self._config.learns_motion and self.teaches
-        is_asked = teaches or known.motion_share < 1.0
-        motion = self._motion = estimator.motion_evidence() if is_asked else None
-        self.doubt(Flag.NONE, known.motion_factor(motion) if motion is not None else 1.0)
+        self.find(_checked(estimator.estimate()))
+        self.doubt(Flag.NONE, self.lessons.motion_factor(estimator))
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
@@ -424,16 +297,9 @@ class Site:
 
     def rig(self) -> RigKnowledge | None:
         """Return what is known of the rig after a contact; None where it tells nothing."""
-        estimator = self._estimator
-        if estimator is None or not (self.is_observed and self.teaches) or estimator.is_doubtful:
+        if self._estimator is None or not self.is_observed:
             return None
-        known = estimator.rig() if self._config.learns_rig else None
-        if not self._config.learns_motion:
-            return known
-        self._told_motion = self._motion or self._told_motion
-        if self._told_motion is None:
-            return known
-        return (known or self.known_rig).moved(self._told_motion)
+        return self.lessons.rig(self._estimator)
 
 
 def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate | None) -> float:
@@ -467,18 +333,10 @@ def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Bloc
     )
 
 
-def _begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
-    """Whether the origin is given and a sample is there, so that no press came before it."""
-    if config.strain_origin is None:
-        return False
-    compression = (pair.displacement - config.strain_origin) / config.geometry.length
-    return compression <= config.block_compression
-
-
 def prepare(config: PipelineConfig) -> None:
     """Import and compute what takes a moment: not only at the first touch."""
-    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
     config.geometry.compression(0.1)
+    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
 
 
 def dips(duration_ns: int) -> bool:
@@ -487,11 +345,7 @@ def dips(duration_ns: int) -> bool:
 
 
 def _new_estimator(
-    config: PipelineConfig,
-    noise_sd: float,
-    origin_sd: float,
-    noise: float,
-    rig: RigKnowledge,
+    config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float, rig: RigKnowledge
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
@@ -522,37 +376,3 @@ def _checked(estimate: Estimate) -> Estimate:
 def _check_finite(*numbers: float) -> None:
     if not math.isfinite(sum(numbers)):
         raise FloatingPointError(f"the estimate is not finite: {numbers}")
-
-
-def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
-    """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
-    if config.strain_origin is not None:
-        return config.strain_origin, 0.0
-    origin_sd = math.hypot(_found_sd(onset, config), _hidden_depth(onset, config))
-    return onset.displacement, origin_sd
-
-
-def _found_sd(onset: Onset, config: PipelineConfig) -> float:
-    """Return the deviation of the origin where the touch shows it, as compression [1]."""
-    return ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
-
-
-def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
-    """Return how much deeper than a line says a probe may be where the force is found first [1].
-
-    Where the force rises out of the noise beyond the boundary strain 1/Gn only, a line finds the
-    surface by ln(stress Gn/G)/Gn of strain too late: the root of its mean square, for a G of the
-    prior and where it is positive, as compression.
-    """
-    if onset.shows_surface:
-        return 0.0
-    prior = config.estimator.prior
-    gn, sd = prior.nonlinear_stiffness, prior.linear_stiffness_log_sd
-    force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias
-    stress = max(force * config.geometry.stress_per_force, sys.float_info.min)
-    above = math.log(stress * gn / prior.linear_stiffness)
-    square = max(above, 0.0) ** 2
-    if sd > 0.0:
-        density = math.exp(-0.5 * (above / sd) ** 2) / math.sqrt(2.0 * math.pi)
-        square = (above**2 + sd**2) * float(ndtr(above / sd)) + above * sd * density
-    return config.geometry.compression(math.sqrt(max(square, 0.0)) / gn)

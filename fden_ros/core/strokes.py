@@ -23,16 +23,10 @@ REMEDY = "contact: {mode: continuous}"
 
 
 class Strokes:
-    """Watches for a probe that palpates and never lifts.
-
-    Attributes
-    ----------
-    frequency : float or None
-        Of the palpation, once it is told [Hz].
-    """
+    """Watches for a probe that palpates and never lifts."""
 
     def __init__(self) -> None:
-        self.frequency: float | None = None
+        self.frequency: float | None = None  #: of the palpation, once it is told [Hz]
         self._strokes = self._lifts = 0
         self.forget()
 

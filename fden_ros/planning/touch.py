@@ -13,7 +13,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import imagined_onset
-from fden_ros.core.site import origin_of
+from fden_ros.core.origin import origin_of
 from fden_ros.planning.motion import Motion, Sensors
 
 #: Seconds in the air before the touch that its fit sees, and that tell the force's zero.

@@ -42,7 +42,6 @@ import numpy as np
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import Prior
 
 UNKNOWN = "unknown"
@@ -62,49 +61,26 @@ _LEAST_VARIANCE = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """One class of a library.
-
-    Parameters
-    ----------
-    name : str
-    mean : ndarray, shape (3,)
-        Of (ln G, ln Gn, alpha), G in Pa s^alpha.
-    covariance : ndarray, shape (3, 3)
-        Spread of the class over specimens, positive definite; with few degrees of freedom, the
-        scale matrix of Student's t.
-    prior : float
-        Prior probability up to a common factor, positive.
-    degrees_of_freedom : float
-        How well the spread itself is known; inf: exactly.
-    """
+    """One class of a library."""
 
     name: str
-    mean: Array
+    mean: Array  #: of (ln G, ln Gn, alpha), G in Pa s^alpha, shape (3,)
+    #: Spread of the class over specimens, positive definite; with few degrees of freedom, the
+    #: scale matrix of Student's t, shape (3, 3).
     covariance: Array
-    prior: float = 1.0
-    degrees_of_freedom: float = math.inf
+    prior: float = 1.0  #: prior probability up to a common factor, positive
+    degrees_of_freedom: float = math.inf  #: how well the spread itself is known; inf: exactly
 
 
 @dataclass(frozen=True, eq=False)
 class TissueLibrary:
-    """Tissues to tell apart, and the wide class of what is none of them.
-
-    Parameters
-    ----------
-    name : str
-    tissues : tuple of Tissue
-    unknown : Tissue
-    units : str
-        Unit of the stress behind G: ``Pa``, or ``N`` where it is a force.
-    geometry : str
-        Kind of geometry that the parameters were found with; empty: not stated.
-    """
+    """Tissues to tell apart, and the wide class of what is none of them."""
 
     name: str
     tissues: tuple[Tissue, ...]
     unknown: Tissue
-    units: str = "Pa"
-    geometry: str = ""
+    units: str = "Pa"  #: unit of the stress behind G: ``Pa``, or ``N`` where it is a force
+    geometry: str = ""  #: kind of geometry that the parameters were found with; empty: not stated
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -140,20 +116,11 @@ class ClassProbabilities(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """What data say of (ln G, ln Gn, alpha), to second order; leading axes are many of them.
+    """What data say of (ln G, ln Gn, alpha), to second order; leading axes are many of them."""
 
-    Parameters
-    ----------
-    centre : ndarray, shape (..., 3)
-    score : ndarray, shape (..., 3)
-        Slope of the logarithm there.
-    information : ndarray, shape (..., 3, 3)
-        Less its curvature, positive semidefinite.
-    """
-
-    centre: Array
-    score: Array
-    information: Array
+    centre: Array  #: shape (..., 3)
+    score: Array  #: slope of the logarithm there, shape (..., 3)
+    information: Array  #: less its curvature, positive semidefinite, shape (..., 3, 3)
 
     def __add__(self, other: Likelihood) -> Likelihood:
         """Return what independent data on the same place say together."""
@@ -207,11 +174,6 @@ def likelihood_of(
     return Likelihood(mean, score, information)
 
 
-def likelihood_of_estimate(estimate: Estimate, prior: Prior, order_given: bool) -> Likelihood:
-    """Return what the data behind an estimate say, its prior taken out."""
-    return likelihood_of(estimate.mean, estimate.covariance, prior, order_counts=not order_given)
-
-
 def classify(
     library: TissueLibrary, likelihood: Likelihood, significance: float = 0.0
 ) -> ClassProbabilities:
@@ -219,7 +181,6 @@ def classify(
 
     Parameters
     ----------
-    library : TissueLibrary
     likelihood : Likelihood
         Of one place.
     significance : float
@@ -244,7 +205,6 @@ def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array,
 
     Parameters
     ----------
-    library : TissueLibrary
     likelihood : Likelihood
         Leading axes (...).
 

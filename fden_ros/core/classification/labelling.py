@@ -6,27 +6,19 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     ClassProbabilities,
-    Likelihood,
     TissueLibrary,
     classify,
-    likelihood_of_estimate,
+    likelihood_of,
 )
-from fden_ros.core.classification.relative import (
-    Comparison,
-    RelativeConfig,
-    compare,
-    stack,
-    without_prior,
-)
+from fden_ros.core.classification.relative import Comparison, Surroundings
 from fden_ros.core.estimation.estimate import Estimate
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams.samples import NANOSECONDS, Position
 
@@ -76,10 +68,6 @@ class DecisionConfig:
 class Decider:
     """The label of one contact.
 
-    Parameters
-    ----------
-    config : DecisionConfig
-
     Examples
     --------
     >>> decider = Decider(DecisionConfig())
@@ -103,12 +91,7 @@ class Decider:
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
         """Take the newest probabilities; return the label, empty while there is none.
 
-        Parameters
-        ----------
-        stamp_ns : int
-        classes : ClassProbabilities
-        last : bool
-            No more probabilities come: another answer replaces the label at once.
+        `last`: no more come, so that another answer replaces the label at once.
         """
         candidate = self._answer(classes)
         if candidate == self.label:
@@ -173,86 +156,13 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What is known of a contact when a block ends."""
-
-    stamp_ns: int
-    block: int  #: number of the block
-    estimate: Estimate | None
-    max_strain: float  #: [1]
-    change_count: int  #: how often the tissue changed under the probe
-    is_mismatch: bool  #: the model does not describe the contact
-
-
-class Surroundings:
-    """The stiffness of each site touched so far, to compare others with.
-
-    Parameters
-    ----------
-    config : RelativeConfig
-    time_scale : float
-        tau of the stiffness [s].
-    distance : callable
-        Of two positions [m].
-    """
-
-    def __init__(
-        self,
-        config: RelativeConfig,
-        time_scale: float,
-        distance: Callable[[Position, Position], float],
-    ) -> None:
-        self._config, self._time_scale = config, time_scale
-        self._distance = distance
-        self._sites: dict[int, tuple[Position | None, LogStiffness]] = {}
-
-    def compare(
-        self, site_id: int, position: Position | None, estimate: Estimate, likelihood: Likelihood
-    ) -> Comparison | None:
-        """Compare a site with those around it, and keep it for those to come."""
-        config = self._config
-        own = without_prior(likelihood) or (estimate.mean, estimate.covariance)
-        place = log_stiffness(*own, config.strain, self._time_scale)
-        around = [
-            other
-            for other_id, (other_position, other) in self._sites.items()
-            if other_id != site_id and self._is_near(other_position, position)
-        ]
-        self._sites[site_id] = (position, place)
-        return compare(place, stack(around))
-
-    def forget(self, site_id: int | None = None) -> None:
-        """Forget a site; None: all."""
-        if site_id is None:
-            self._sites.clear()
-        else:
-            self._sites.pop(site_id, None)
-
-    def _is_near(self, a: Position | None, b: Position | None) -> bool:
-        reach = self._config.distance
-        return reach == 0.0 or a is None or b is None or self._distance(a, b) <= reach
-
-
-@dataclass(frozen=True)
 class Labeller:
-    """How a contact is labelled, the same for all contacts.
-
-    Parameters
-    ----------
-    library : TissueLibrary or None
-    estimator : EstimatorConfig
-        Its prior is taken out of the estimates.
-    decision : DecisionConfig
-    ratio : float
-        Stiffer than the surroundings by more than this is ``stiffer``.
-    surroundings : Surroundings or None
-        Sites to compare with in place of the library's tissues.
-    """
+    """How a contact is labelled, the same for all contacts."""
 
     library: TissueLibrary | None
-    estimator: EstimatorConfig
+    estimator: EstimatorConfig  #: its prior is taken out of the estimates
     decision: DecisionConfig
-    ratio: float = 1.0
+    #: Sites to compare with in place of the library's tissues.
     surroundings: Surroundings | None = None
 
     @property
@@ -272,28 +182,23 @@ class Labeller:
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
         config = self.estimator
-        likelihood = likelihood_of_estimate(estimate, config.prior, config.fractional_order_given)
+        likelihood = likelihood_of(
+            estimate.mean,
+            estimate.covariance,
+            config.prior,
+            order_counts=not config.fractional_order_given,
+        )
         if self.surroundings is not None:
-            found = self.surroundings.compare(site_id, position, estimate, likelihood)
-            return (found.classes(self.ratio) if found is not None else None), found
+            return self.surroundings.classes(site_id, position, estimate, likelihood)
         if self.library is not None:
             return classify(self.library, likelihood, self.decision.significance), None
         return None, None
 
 
 class Labelling:
-    """The label of one contact.
+    """The label of one contact with a site.
 
-    Parameters
-    ----------
-    labeller : Labeller
-    site_id : int
-    position : tuple of float or None
-        Of the site [m].
-    start_ns : int
-        Stamp of the touch.
-    change_count : int
-        How often the site's tissue has changed before.
+    `position` is that of the site [m], whose tissue has changed `change_count` times before.
     """
 
     def __init__(
@@ -305,37 +210,45 @@ class Labelling:
         change_count: int,
     ) -> None:
         self._labeller = labeller
-        self._site_id = site_id
-        self._position = position
-        self._start_ns = start_ns
-        self._change_count = change_count
-        self._is_mismatch = False
-        self._decider: Decider | None = None
+        self._site_id, self._position = site_id, position
+        self._start_ns, self._change_count = start_ns, change_count
+        self._is_mismatch = False  # as was said last
+        self._decider = Decider(labeller.decision)
         self._answer = Answer()
 
-    def update(self, evidence: Evidence) -> Iterator[Answer]:
-        """Take what is known after a block; give each answer that differs from the last."""
-        if evidence.change_count != self._change_count:
+    def update(
+        self,
+        stamp_ns: int,
+        estimate: Estimate | None,
+        max_strain: float,
+        *,
+        block: int,
+        change_count: int,
+        is_mismatch: bool,
+    ) -> Iterator[Answer]:
+        """Take what is known after a block; give each answer that differs from the last.
+
+        `max_strain` so far [1]; `block` is its number; the tissue changed `change_count` times
+        under the probe; `is_mismatch`: the model does not describe the contact.
+        """
+        if change_count != self._change_count:
             # The tissue that was named is no longer under the probe.
-            self._change_count = evidence.change_count
-            self._decider = None
+            self._change_count = change_count
+            self._decider = Decider(self._labeller.decision)
             self._answer = replace(self._answer, decided=None)
             if self._answer.classes is not None:
-                yield self._say(evidence, None)
-        elif evidence.is_mismatch != self._is_mismatch:
+                yield self._say(None, is_mismatch)
+        elif is_mismatch != self._is_mismatch:
             # The label stands, but no longer without a reservation.
-            yield self._say(evidence, self._answer.classes)
-        estimate = evidence.estimate
-        if estimate is None or not estimate.converged:
-            yield from self._begin(evidence)
-            return
-        if evidence.block % _CLASSIFY_EVERY and self._answer.classes is not None:
-            return
-        classes = self._classes(evidence.stamp_ns, estimate, evidence.max_strain)
-        if classes is None:
-            yield from self._begin(evidence)
-        elif self._is_news(classes):
-            yield self._say(evidence, classes)
+            yield self._say(self._answer.classes, is_mismatch)
+        classes = None
+        if estimate is not None and estimate.converged:
+            if block % _CLASSIFY_EVERY and self._answer.classes is not None:
+                return
+            classes = self._classes(stamp_ns, estimate, max_strain)
+        is_first = self._answer.decision is Decision.NONE
+        if self._is_news(classes) if classes is not None else is_first:
+            yield self._say(classes, is_mismatch)
 
     def finish(self, stamp_ns: int, estimate: Estimate | None, max_strain: float) -> Answer:
         """Return the answer at the end of the contact; no other comes that it must stand for."""
@@ -343,11 +256,6 @@ class Labelling:
             return Answer()
         classes = self._classes(stamp_ns, estimate, max_strain, last=True)
         return Answer() if classes is None else replace(self._answer, classes=classes)
-
-    def _begin(self, evidence: Evidence) -> Iterator[Answer]:
-        """Say that nothing is decided, unless something was said before."""
-        if self._answer.decision is Decision.NONE:
-            yield self._say(evidence, None)
 
     def _is_news(self, classes: ClassProbabilities) -> bool:
         previous = self._answer.classes
@@ -360,11 +268,11 @@ class Labelling:
             )
         )
 
-    def _say(self, evidence: Evidence, classes: ClassProbabilities | None) -> Answer:
+    def _say(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
         decision = Decision.UNDETERMINED
         if classes is not None and classes.label:
             decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
-        self._is_mismatch = evidence.is_mismatch
+        self._is_mismatch = is_mismatch
         self._answer = replace(self._answer, decision=decision, classes=classes)
         return self._answer
 
@@ -376,8 +284,6 @@ class Labelling:
         self._answer = replace(self._answer, comparison=comparison)
         if classes is None:
             return None
-        if self._decider is None:
-            self._decider = Decider(self._labeller.decision)
         before = self._decider.label
         label = self._decider.update(stamp_ns, classes, last=last)
         if label != before:

@@ -22,8 +22,10 @@ from scipy.special import stdtr, stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
-from fden_ros.core.law.apparent_stiffness import LogStiffness
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
 from fden_ros.core.parameter import parameter
+from fden_ros.core.streams.samples import Position, lateral_distance
 
 #: Answers of the comparison.
 ANSWERS = ("softer", "alike", "stiffer")
@@ -35,8 +37,6 @@ LEAST_SURROUNDINGS = 4
 _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
 #: Tissue that varies less is not believed.
 _LEAST_SD = 0.02
-#: Standard deviation of a normal variable over the median of its magnitude.
-_MEDIAN_TO_SD = 1.4826
 #: Turns of the fixed point for mean, spread and share: after half as many nothing moves by
 #: more than 5 %.
 _ITERATIONS = 30
@@ -72,16 +72,12 @@ class Comparison:
     ----------
     log_ratio, log_ratio_sd : float
         ln of how many times stiffer than the mean of the surroundings, and its error.
-    degrees_of_freedom : float
-        Of Student's t.
-    count : float
-        How many places of the surroundings count.
     """
 
     log_ratio: float
     log_ratio_sd: float
-    degrees_of_freedom: float
-    count: float
+    degrees_of_freedom: float  #: of Student's t
+    count: float  #: how many places of the surroundings count
 
     @property
     def ratio(self) -> float:
@@ -110,14 +106,6 @@ class Comparison:
         return ClassProbabilities(label, ANSWERS, probabilities)
 
 
-def without_prior(likelihood: Likelihood) -> tuple[Array, Array] | None:
-    """Return mean and covariance without the prior; None where a direction is not observed."""
-    if float(np.linalg.eigvalsh(likelihood.information).min()) <= 0.0:
-        return None
-    covariance = np.linalg.inv(likelihood.information).astype(np.float64)
-    return likelihood.centre + covariance @ likelihood.score, covariance
-
-
 def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | None:
     """Return how a place compares with its surroundings.
 
@@ -137,7 +125,8 @@ def compare(place: LogStiffness, surroundings: LogStiffness) -> Comparison | Non
     if values.size < LEAST_SURROUNDINGS:
         return None
     mean = float(np.median(values))
-    natural = (_MEDIAN_TO_SD * float(np.median(np.abs(values - mean)))) ** 2
+    # The deviation of a normal variable is 1.4826 medians of its magnitude.
+    natural = (1.4826 * float(np.median(np.abs(values - mean)))) ** 2
     foreign = _FOREIGN
     for _ in range(_ITERATIONS):
         natural = max(natural, _LEAST_SD**2)
@@ -168,6 +157,57 @@ def _belongs(squares: Array, variances: Array, foreign: float) -> Array:
     )
     result: Array = 1.0 / (1.0 + odds)
     return result
+
+
+class Surroundings:
+    """The stiffness of each site touched so far, to compare others with.
+
+    Parameters
+    ----------
+    time_scale : float
+        tau of the stiffness [s].
+    axis : tuple of float
+        Unit vector into the tissue: distances are perpendicular to it.
+    """
+
+    def __init__(self, config: RelativeConfig, time_scale: float, axis: Position) -> None:
+        self._config, self._time_scale, self._axis = config, time_scale, axis
+        self._sites: dict[int, tuple[Position | None, LogStiffness]] = {}
+
+    def classes(
+        self, site_id: int, position: Position | None, estimate: Estimate, likelihood: Likelihood
+    ) -> tuple[ClassProbabilities | None, Comparison | None]:
+        """Compare a site with those around it, and keep it for those to come.
+
+        `likelihood`: of the estimate, its prior taken out. None: there are too few around it.
+        """
+        mean, covariance = estimate.mean, estimate.covariance
+        # With the prior where a direction is not observed.
+        if float(np.linalg.eigvalsh(likelihood.information).min()) > 0.0:
+            covariance = np.linalg.inv(likelihood.information).astype(np.float64)
+            mean = likelihood.centre + covariance @ likelihood.score
+        place = log_stiffness(mean, covariance, self._config.strain, self._time_scale)
+        around = [
+            other
+            for other_id, (other_position, other) in self._sites.items()
+            if other_id != site_id and self._is_near(other_position, position)
+        ]
+        self._sites[site_id] = (position, place)
+        found = compare(place, stack(around))
+        return (found.classes(self._config.ratio) if found is not None else None), found
+
+    def forget(self, site_id: int | None = None) -> None:
+        """Forget a site; None: all."""
+        if site_id is None:
+            self._sites.clear()
+        else:
+            self._sites.pop(site_id, None)
+
+    def _is_near(self, a: Position | None, b: Position | None) -> bool:
+        reach = self._config.distance
+        if reach == 0.0 or a is None or b is None:
+            return True
+        return lateral_distance(self._axis, a, b) <= reach
 
 
 def stack(places: Sequence[LogStiffness]) -> LogStiffness:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import NamedTuple
@@ -167,21 +166,11 @@ class Excess(NamedTuple):
     scale: int  #: chunks that are averaged
 
 
-def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
+def _scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     """Return the standard deviation of means in the air [N] and its degrees of freedom, per scale.
 
-    Parameters
-    ----------
-    means : ndarray, shape (n,)
-        Of the chunks in the air [N]; their successive differences count (Allan's variance).
-    size : float
-        Samples in a chunk.
-    noise : float
-        Standard deviation per sample within the chunks [N].
-
-    Returns
-    -------
-    sd, freedom : ndarray, shape (scales,)
+    By the successive differences (Allan's variance) of the `means` of chunks in the air [N], of
+    `size` samples each, within which these have a deviation of `noise` [N].
     """
     found: list[tuple[float, float]] = []
     freedom, variance = means.size * (size - 1.0), noise**2
@@ -199,28 +188,7 @@ def scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     return sd, degrees
 
 
-def thresholds_of(sd: Array, freedom: Array) -> Array:
-    """Return the means that air exceeds with a probability of 5e-6 [N], shape (scales,)."""
-    limits: Array = -stdtrit(freedom, _CHANCE) * sd
-    return limits
-
-
-def rises_of(newest: Iterable[Chunk], bias: Callable[[int], float]) -> Array:
-    """Return the means of the newest chunks, the last one first, above the bias [N], per scale.
-
-    `bias` gives the force without contact [N] at a stamp.
-    """
-    found = []
-    size, total = 0, 0.0
-    for count, chunk in enumerate(newest, start=1):
-        size += chunk.size
-        total += chunk.size * (chunk.mean - bias(chunk.end_ns))
-        if count in SCALES:
-            found.append(total / size)
-    return np.array(found)
-
-
-def deepest_fall(means: Array, scale: int) -> float:
+def _deepest_fall(means: Array, scale: int) -> float:
     """Return how far means over `scale` of the chunks fell below the bias [N]."""
     if means.size < scale:
         return 0.0
@@ -258,10 +226,9 @@ MIN_CHUNKS = 5
 #: noise may come out so small that noise looks like a contact.
 _MIN_AIR_SAMPLES = 48
 _ENOUGH_CHUNKS = 12
-#: The air is remembered for at least 24 chunks, however slow the sensor.
-_LEAST_REMEMBERED = 2 * _ENOUGH_CHUNKS
-#: Chunks of the newest second [ns] may hold the beginning of a slow contact: they do not count.
-_LAG_NS = NANOSECONDS
+#: A slow contact is told within 1 s [ns] of its beginning, which chunks of the newest second may
+#: hold: they do not count.
+SLOW_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
 _AIR_EVERY = 8
 #: From half of what is a contact on, a slow one may be on: the baseline stands still and the air
@@ -274,11 +241,10 @@ _SWING_FACTOR = 2.2
 #: How far the bias wanders after it was measured is a mean over so many looks, 8 chunks apart: a
 #: minute of chunks of 20 ms. So many that showed nothing are taken to lie before the first.
 _REMEMBERED_WANDER, _UNSEEN_WANDER = 375, 60
-#: The noise counts as coloured when the variance of the chunks' means exceeds that of white noise
-#: by more than 4 of its standard deviations.
-_COLOUR_DEVIATIONS = 4.0
-#: A trend of the force in the air counts as drift from 4 of its standard deviations.
-_DRIFT_DEVIATIONS = 4.0
+#: From 4 standard deviations on a sample clearly is not the air's, the noise counts as coloured
+#: (by how far the variance of the chunks' means exceeds that of white noise), and a trend of the
+#: force in the air as drift.
+CLEAR_DEVIATIONS = 4.0
 
 #: Standard deviation of what is rounded off, in steps; noise of less than 0.6 steps, that of
 #: the rounding included, does not make it white.
@@ -288,11 +254,8 @@ _ROUNDING, _DITHER = 12.0**-0.5, 0.6
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
 
-    Parameters
-    ----------
-    config : ContactConfig
-        Chunks older than its lookback, and than 24 chunks last, are forgotten; than 4 times that
-        while a slow contact may be on.
+    Chunks older than the lookback, and than 24 chunks last, are forgotten; than 4 times that while
+    a slow contact may be on.
     """
 
     def __init__(self, config: ContactConfig) -> None:
@@ -327,9 +290,8 @@ class Baseline:
     @property
     def reach_ns(self) -> int:
         """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
-        reach_ns = max(
-            round(self._config.lookback * NANOSECONDS), _LEAST_REMEMBERED * self._chunk_ns
-        )
+        stated_ns = round(self._config.lookback * NANOSECONDS)
+        reach_ns = max(stated_ns, 2 * _ENOUGH_CHUNKS * self._chunk_ns)
         return reach_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
 
     def mean(self) -> float | None:
@@ -372,16 +334,26 @@ class Baseline:
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
-        newest = chain((chunk,), reversed(self._chunks))
-        rises = rises_of(islice(newest, SCALES[-1]), self.bias_at)
-        self._rises = rises
+        rises = self._rises = self._rises_with(chunk)
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
         rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
         if rise > limit and self.is_measured:
             # Where the bias is given, what is below it may be the bias.
-            limit = max(limit, _SWING_FACTOR * deepest_fall(self._above_bias(), scale))
+            limit = max(limit, _SWING_FACTOR * _deepest_fall(self._above_bias(), scale))
         return Excess(rise / limit, limit, scale)
+
+    def _rises_with(self, chunk: Chunk) -> Array:
+        """Return the means of the newest chunks above the bias [N], per scale."""
+        found = []
+        size, total = 0, 0.0
+        newest = islice(chain((chunk,), reversed(self._chunks)), SCALES[-1])
+        for count, one in enumerate(newest, start=1):
+            size += one.size
+            total += one.size * (one.mean - self.bias_at(one.end_ns))
+            if count in SCALES:
+                found.append(total / size)
+        return np.array(found)
 
     def _above_bias(self) -> Array:
         return np.array([chunk.mean - self.bias_at(chunk.end_ns) for chunk in self._chunks])
@@ -399,14 +371,14 @@ class Baseline:
             air = _air_of(chunks)
             self._thresholds = self._thresholds_in(chunks, air, chunk.size)
             return air
-        is_new = chunks[-1].end_ns - chunks[0].start_ns < _LAG_NS
+        is_new = chunks[-1].end_ns - chunks[0].start_ns < SLOW_NS
         if self._is_carried and self._air is not None and is_new and self.is_rising(chunk):
             return self._air
         # Not while a slow contact may be on, or the baseline would creep along with it.
         is_due = not self.is_suspected and self._count % _AIR_EVERY == 0
         if self._air is None or self._is_carried or is_due:
             self._is_carried = False
-            newest_ns = chunk.start_ns - _LAG_NS
+            newest_ns = chunk.start_ns - SLOW_NS
             old = tuple(c for c in chunks if c.end_ns <= newest_ns)
             old = max(old, chunks[: -(-len(chunks) // 2)], key=len)
             self._air = _air_of(old)
@@ -422,16 +394,15 @@ class Baseline:
     def _thresholds_in(self, chunks: tuple[Chunk, ...], air: Air, size: int) -> Array:
         """Return the least mean that is no air for each scale [N]."""
         means = np.array([chunk.mean for chunk in chunks])
-        sd, freedom = scatter_of(
-            means, air.size / len(chunks) if chunks else size, self.noise_of(air)
-        )
+        usual_size = air.size / len(chunks) if chunks else size
+        sd, freedom = _scatter_of(means, usual_size, self.noise_of(air))
         step = self.resolution.step
         is_dithered = self._config.force_noise or air.fast_noise >= _DITHER * step
         rounding = 0.0 if is_dithered else self._rounding
         self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
         wander = max(self._wander, 0.0)
         sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
-        least = thresholds_of(sd, freedom)
+        least: Array = -stdtrit(freedom, _CHANCE) * sd
         if not self.is_measured:
             # A longer mean tells no better whether the bias is what it is said to be.
             least = np.maximum(least, least[0])
@@ -520,7 +491,7 @@ def _noise_of_means(chunks: tuple[Chunk, ...], air: Air) -> float:
     means, steps = np.array([chunk.mean for chunk in chunks]), [chunk.step for chunk in chunks]
     while True:
         at_scale = math.sqrt(0.5 * size * float(np.var(steps)))
-        if at_scale > noise * (1.0 + _COLOUR_DEVIATIONS * math.sqrt(0.75 / len(steps))):
+        if at_scale > noise * (1.0 + CLEAR_DEVIATIONS * math.sqrt(0.75 / len(steps))):
             noise = at_scale
         if means.size < MIN_CHUNKS:
             return noise
@@ -542,7 +513,7 @@ def _level_at_end(chunks: tuple[Chunk, ...], air: Air, noise: float) -> Level:
     spread = float(weight @ (time - centre) ** 2)
     slope = float(weight @ ((time - centre) * (force - air.mean)) / spread)
     slope_sd = noise / math.sqrt(spread)
-    if abs(slope) < _DRIFT_DEVIATIONS * slope_sd:
+    if abs(slope) < CLEAR_DEVIATIONS * slope_sd:
         return level
     sd = math.hypot(level.sd, slope_sd * centre)
     return Level(air.mean - slope * centre, sd, noise, slope, slope_sd)

@@ -11,16 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.contact.air import CHUNK_NS
-from fden_ros.core.contact.detector import (
-    AMPLE_EVIDENCE,
-    CLEAR_DEVIATIONS,
-    LASTING_TIME,
-    LONG_WINDOW,
-    MIN_EVIDENCE,
-    RETRY,
-    Onset,
-)
+from fden_ros.core.contact.air import CHUNK_NS, CLEAR_DEVIATIONS
+from fden_ros.core.contact.approach import LASTING_TIME
+from fden_ros.core.contact.detector import AMPLE_EVIDENCE, LONG_WINDOW, MIN_EVIDENCE, RETRY, Onset
 from fden_ros.core.contact.surface import FIRST_WINDOW, Surface, find_surface
 from fden_ros.core.streams import NANOSECONDS, Pair
 

@@ -85,8 +85,7 @@ def find_surface(
     detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
     while True:
         start = min(
-            int(np.searchsorted(time, time[-1] - window)),
-            max(time.size - _MIN_WINDOW_SAMPLES, 0),
+            int(np.searchsorted(time, time[-1] - window)), max(time.size - _MIN_WINDOW_SAMPLES, 0)
         )
         bins = _Bins.of(time, force, displacement, start, fractional_order)
         onset_time = bins.best(

@@ -54,7 +54,6 @@ def log_stiffness_at(
         Of (ln G, ln Gn, alpha).
     covariance : ndarray, shape (4, 4)
         Of these and the strain origin.
-    geometry : Geometry
     compression : float
         u, from the strain origin [1].
     time_scale : float

@@ -23,8 +23,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.law.layer import LAYER_TERMS, hayes_factor, sphere_series
 from fden_ros.core.parameter import TINY, parameter
 
-#: The most that a flat punch reaches in thicknesses, and a sphere on a thick tissue in radii [1].
-_DEEPEST_FLAT, _DEEPEST_SPHERE = 1.0, 4.64
+#: The most that a sphere reaches on a thick tissue, in radii [1].
+_DEEPEST_SPHERE = 4.64
 #: sqrt(R d) / h up to which the series of a sphere on a layer holds [1].
 _THINNEST = 2.0
 
@@ -38,36 +38,16 @@ class Strains(NamedTuple):
 
 
 class Geometry(ABC):
-    """A contact geometry: strain is a power of the compression, or a series of powers.
+    """A contact geometry: strain is a power of the compression, or a series of powers."""
 
-    Attributes
-    ----------
-    kind : str
-        Its name in parameters and libraries.
-    unit : str
-        Of what is measured as the force.
-    exponent : float
-        Of that power, the first [1].
-    series : tuple of float
-        By what factor a layer strains more: 1 + sum of c_k u^(k/2), k from 1 [1].
-    is_one_sided : bool
-        The tissue lets go of the probe, and cannot pull at it.
-    most_strain : float
-        The largest that is plausible [1].
-    size_gain : float
-        By how much more than a thickness or radius G and Gn are off, where that is [1].
-    example : str
-        How it is stated in a parameter file.
-    is_stated : bool
-        Whether its sizes are those of a probe, not numbers that stand in for them: else nothing
-        can be converged.
-    """
-
-    kind: ClassVar[str]
-    unit: ClassVar[str] = "N"
-    exponent: ClassVar[float] = 1.0
-    is_one_sided: ClassVar[bool] = True
+    kind: ClassVar[str]  #: its name in parameters and libraries
+    unit: ClassVar[str] = "N"  #: of what is measured as the force
+    exponent: ClassVar[float] = 1.0  #: of that power, the first [1]
+    is_one_sided: ClassVar[bool] = True  #: the tissue lets go of the probe, and cannot pull at it
+    #: How it is stated in a parameter file.
     example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
+    #: Whether its sizes are those of a probe, not numbers that stand in for them: else nothing can
+    #: be converged.
     is_stated: bool
 
     @property
@@ -87,7 +67,7 @@ class Geometry(ABC):
 
     @property
     def series(self) -> tuple[float, ...]:
-        """Coefficients of the factor by which a layer strains more [1]."""
+        """The c of the factor by which a layer strains more, 1 + sum of c_k u^(k/2), k from 1."""
         return (0.0,) * LAYER_TERMS
 
     @property
@@ -130,32 +110,22 @@ class Geometry(ABC):
 
 @dataclass(frozen=True)
 class FlatPunch(Geometry):
-    """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h.
-
-    Parameters
-    ----------
-    area : float
-        Area of the probe's face A [m^2].
-    thickness : float
-        Thickness of the tissue h [m].
-    poisson_ratio : float or None
-        Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
-        the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
-    is_bonded : bool
-        For that factor the base holds the tissue; else the tissue slips on it.
-    """
+    """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h."""
 
     kind = "flat_punch"
-    area: float
-    thickness: float
+    area: float  #: area of the probe's face A [m^2]
+    thickness: float  #: thickness of the tissue h [m]
+    #: Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of the
+    #: layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
     poisson_ratio: float | None = None
+    #: For that factor the base holds the tissue; else the tissue slips on it.
     is_bonded: bool = True
     is_stated: bool = True
 
     @property
     def most_strain(self) -> float:
         """It cannot go deeper than the tissue is thick."""
-        return _DEEPEST_FLAT
+        return 1.0
 
     @property
     def probe_radius(self) -> float:
@@ -191,26 +161,15 @@ class Sphere(Geometry):
 
     On a layer the strain is larger by a factor of the depth, :func:`.layer.sphere_series`: of an
     incompressible layer that its base holds 3.4 at sqrt(R delta)/h = 0.75.
-
-    Parameters
-    ----------
-    radius : float
-        Radius of the tip R [m].
-    thickness : float
-        Of the tissue, on a rigid base [m]; infinite: a half-space.
-    poisson_ratio : float
-        Of the tissue nu [1]; counts where it is bonded.
-    is_bonded : bool
-        The base holds the tissue; else the tissue slips on it.
     """
 
     kind = "sphere"
     exponent = 1.5
     example = "kind: sphere, radius: 0.005, thickness: 0.02"
-    radius: float
-    thickness: float = math.inf
-    poisson_ratio: float = 0.5
-    is_bonded: bool = True
+    radius: float  #: radius of the tip R [m]
+    thickness: float = math.inf  #: of the tissue, on a rigid base [m]; infinite: a half-space
+    poisson_ratio: float = 0.5  #: of the tissue nu [1]; counts where it is bonded
+    is_bonded: bool = True  #: the base holds the tissue; else the tissue slips on it
     is_stated: bool = True
 
     @property
@@ -291,22 +250,16 @@ class TorsionalRheometer(Geometry):
 
     Stress f = T / (pi R^3), strain x = R theta / (2 d): the means over the sample, half of the
     outer values.
-
-    Parameters
-    ----------
-    radius : float
-        Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
-        factor of 8 in stress.
-    height : float
-        Height of the sample d [m].
     """
 
     kind = "torsional_rheometer"
     unit = "N m"
     is_one_sided = False
     example = "kind: torsional_rheometer, radius: 0.01, thickness: 0.005"
+    #: Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
+    #: factor of 8 in stress.
     radius: float
-    height: float
+    height: float  #: height of the sample d [m]
     is_stated: bool = True
 
     @property
@@ -337,8 +290,6 @@ class PassThrough(Geometry):
 
 
 _KINDS = FlatPunch, Sphere, TorsionalRheometer, PassThrough
-#: Sizes that stand in for those that are not stated [m^2, m].
-_AREA, _THICKNESS, _RADIUS = 1e-4, 0.02, 0.005
 
 
 @dataclass(frozen=True)
@@ -405,8 +356,7 @@ class GeometryConfig:
 
         It is not stated where a size that its kind needs is 0; another one stands in for it.
         """
-        area, radius = self.area or _AREA, self.radius or _RADIUS
-        thickness = self.thickness or _THICKNESS
+        area, radius, thickness = self.area or 1e-4, self.radius or 0.005, self.thickness or 0.02
         has_thickness, has_radius = self.thickness > 0.0, self.radius > 0.0
         if self.kind == Sphere.kind:
             depth = self.thickness or math.inf

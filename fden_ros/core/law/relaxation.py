@@ -35,16 +35,13 @@ from fden_ros.core.arrays import Array
 #: Exponentials and their distance in ln lambda: half the distance changes a response by
 #: 5e-6 of it.
 RATE_COUNT, SPACING = 32, 0.77
-#: The slowest rate [1/s]: memory of eleven days.
-SLOWEST = 1e-6
-#: Rates of the exponentials [1/s], shape (RATE_COUNT,).
-RATES: Array = SLOWEST * np.exp(SPACING * np.arange(RATE_COUNT))
+#: Rates of the exponentials [1/s], shape (RATE_COUNT,): the slowest is the memory of eleven days.
+RATES: Array = 1e-6 * np.exp(SPACING * np.arange(RATE_COUNT))
 RATES.flags.writeable = False
 #: Logarithms of the rates, then of those by which the slower and the faster ones count.
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
 #: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
 LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
-_STEP = 1e-6
 #: Shortest step between samples [s]: shorter ones tell nothing by these rates.
 SHORTEST_STEP = 1e-5
 #: Below this value of rate times step, m_2 is taken from its series.
@@ -109,7 +106,8 @@ def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
 
 
 def _slopes(weights: Callable[[float], Array], order: float) -> Array:
-    result: Array = (weights(order + _STEP) - weights(order - _STEP)) / (2.0 * _STEP)
+    step = 1e-6
+    result: Array = (weights(order + step) - weights(order - step)) / (2.0 * step)
     return result
 
 
@@ -162,15 +160,10 @@ def passed(
 
 
 class StressMoments:
-    """Exponential moments of a measured stress: all that the tissue's future remembers of it.
-
-    Attributes
-    ----------
-    values : ndarray, shape (RATE_COUNT,)
-        int exp(-lambda (t - s)) f(s) ds [Pa s].
-    """
+    """Exponential moments of a measured stress: all that the tissue's future remembers of it."""
 
     def __init__(self) -> None:
+        #: int exp(-lambda (t - s)) f(s) ds [Pa s], shape (RATE_COUNT,).
         self.values: Array = np.zeros(RATE_COUNT)
 
     def add(self, step: float, before: float, after: float) -> None:

@@ -36,6 +36,8 @@ ComplexArray = NDArray[np.complex128]
 
 #: Coefficients of the trend: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
+#: Least amplitude of strain [1] at which there is a dither at all.
+LEAST_AMPLITUDE = 1e-4
 #: Samples in a period: fewer leave the phasor to chance.
 _SAMPLES_PER_PERIOD = 8
 
@@ -78,7 +80,6 @@ class Phasors(NamedTuple):
 
     strain: ComplexArray  #: (n,)
     stress: ComplexArray  #: (n,)
-    stress_sd: float  #: standard deviation of either part of a stress, the largest [Pa]
 
 
 class ComplexModulusMeter:
@@ -99,11 +100,6 @@ class ComplexModulusMeter:
     ValueError
         If no frequency, or one that is not positive, or two equal ones are given.
 
-    Attributes
-    ----------
-    phasors : Phasors
-        Of the newest window; zeros before it.
-
     Examples
     --------
     >>> meter = ComplexModulusMeter([1.0], periods=2)
@@ -116,7 +112,10 @@ class ComplexModulusMeter:
     """
 
     def __init__(
-        self, frequencies: Sequence[float], periods: int = 4, least_amplitude: float = 1e-4
+        self,
+        frequencies: Sequence[float],
+        periods: int = 4,
+        least_amplitude: float = LEAST_AMPLITUDE,
     ) -> None:
         if not frequencies or min(frequencies) <= 0.0 or periods < 1:
             raise ValueError("give positive frequencies in Hz, and at least 1 period")
@@ -135,7 +134,7 @@ class ComplexModulusMeter:
         self._start = self._stop = math.nan
         self._samples = 0
         none = np.zeros(len(frequencies), dtype=complex)
-        self.phasors = Phasors(none, none, math.inf)
+        self.phasors = Phasors(none, none)  #: of the newest window; zeros before it
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""
@@ -152,12 +151,7 @@ class ComplexModulusMeter:
     def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
         """Add a sample; return one result a frequency where it ends a window, else nothing.
 
-        Parameters
-        ----------
-        time : float
-            [s], increasing.
-        strain, stress : float
-            [1] and [Pa].
+        `time` [s] increases; `strain` [1], `stress` [Pa].
         """
         # Half a step of slack: the sample that rounds to the window's end begins the next one.
         ended = self._samples > 1 and time - self._start >= self.window - 0.5 * (time - self._stop)
@@ -196,8 +190,7 @@ class ComplexModulusMeter:
         variances = left / dof
         sines = solution[_TREND:, 1]
         pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
-        largest = float(inverse.diagonal()[_TREND:].max())
-        self.phasors = Phasors(pairs[:, 0], pairs[:, 1], math.sqrt(largest * variances[1]))
+        self.phasors = Phasors(pairs[:, 0], pairs[:, 1])
         results = []
         for index, omega in enumerate(self.angular_frequencies):
             place = _TREND + 2 * index

@@ -54,17 +54,11 @@ class Stiffness(NamedTuple):
 
 
 class LocalStiffness:
-    """Follows the stiffness window after window.
-
-    Attributes
-    ----------
-    windows : int
-        Taken since the beginning.
-    """
+    """Follows the stiffness window after window."""
 
     def __init__(self) -> None:
         count = _DISCOUNTS.size
-        self.windows = 0
+        self.windows = 0  #: taken since the beginning
         self._mean = np.zeros(count, dtype=complex)
         self._precision = np.zeros(count)  # in units of 1/sigma^2 [m^2]
         # Along k and across it: a place that changes scatters the magnitude, not the phase.
@@ -75,14 +69,8 @@ class LocalStiffness:
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
         """Take a window.
 
-        Parameters
-        ----------
-        stiffness : complex
-            F / X [N/m].
-        amplitude : float
-            |X| [m], positive.
-        sd : float
-            Standard deviation of either part of `stiffness` by the white noise alone [N/m].
+        `stiffness` is F / X [N/m], `amplitude` |X| [m], positive, and `sd` the standard deviation
+        of either part of the stiffness by the white noise alone [N/m].
         """
         information = amplitude**2
         if self.windows == 0:

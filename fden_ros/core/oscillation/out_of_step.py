@@ -63,10 +63,7 @@ class PhaseGrowth:
     def grows(self, uncertainty: Uncertainty) -> bool:
         """Return whether the phase grows with the frequency.
 
-        Parameters
-        ----------
-        uncertainty : Uncertainty
-            By what is stated of the delay and of the law's kernel it may grow, too.
+        By what is stated of the delay and of the law's kernel it may grow, too.
         """
         seen = [phases for _, phases in sorted(self._phases.items()) if phases.count >= _WINDOWS]
         if len(seen) < 2:

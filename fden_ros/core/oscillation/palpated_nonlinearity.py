@@ -99,12 +99,8 @@ class PalpatedNonlinearity:
     def add(self, phasors: Phasors, order: float) -> None:
         """Take a window.
 
-        Parameters
-        ----------
-        phasors : Phasors
-            Of displacement [m] and force [N] at the three harmonics.
-        order : float
-            alpha [1].
+        `phasors` are of displacement [m] and force [N] at the three harmonics, `order` is alpha
+        [1].
         """
         motion, force = phasors.strain, phasors.stress
         amplitude = abs(complex(motion[0]))
@@ -124,15 +120,7 @@ class PalpatedNonlinearity:
         self._third.add(third / amplitude**2, information * amplitude**2)
 
     def value(self, palpated: Palpated, uncertainty: Uncertainty) -> Nonlinearity | None:
-        """Return it; None where the harmonics do not show the law.
-
-        Parameters
-        ----------
-        palpated : Palpated
-            Of the same place.
-        uncertainty : Uncertainty
-            Of the rig.
-        """
+        """Return it; None where the harmonics do not show the law."""
         second, third = self._second.mean, self._third.mean
         value = second.real
         order, order_sd = palpated.estimate.fractional_order, palpated.estimate.deviations[2]

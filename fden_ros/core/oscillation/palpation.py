@@ -70,7 +70,6 @@ def palpated(
         Of the palpation [rad/s, m].
     time_scale : float
         tau [s].
-    config : EstimatorConfig
     samples : int
         Behind the measurement.
     grows : bool
@@ -110,9 +109,7 @@ def palpated(
 def _unknown(estimate: Estimate) -> Estimate:
     """Return an estimate whose alpha is at an edge, so that nothing of it is known."""
     return estimate._replace(
-        valid=ParameterSet.NONE,
-        known=ParameterSet.NONE,
-        at_edge=ParameterSet.FRACTIONAL_ORDER,
+        valid=ParameterSet.NONE, known=ParameterSet.NONE, at_edge=ParameterSet.FRACTIONAL_ORDER
     )
 
 

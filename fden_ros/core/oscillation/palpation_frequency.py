@@ -20,8 +20,6 @@ _SLOWEST, _FASTEST = 0.4, 5.0
 _PERIODS = 3.0
 #: Points of the spectrum, with zeros: steps of 1/64 Hz.
 _POINTS = 2048
-#: The peak of a Hann window is 4 steps of its length wide.
-_HALF_WIDTH = 2.0
 #: The velocity of a palpation has this share of its power in one peak.
 _LEAST_SHARE = 0.5
 #: Another frequency is taken when it differs by this share: two periods are still told from
@@ -30,20 +28,14 @@ _CHANGE = 0.04
 
 
 class PalpationFrequency:
-    """Finds the frequency of an oscillation that dominates the velocity.
-
-    Attributes
-    ----------
-    value : float or None
-        The frequency [Hz]; None while nothing oscillates.
-    """
+    """Finds the frequency of an oscillation that dominates the velocity."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.value: float | None = None
+        self.value: float | None = None  #: the frequency [Hz]; None while nothing oscillates
         self._ring = np.zeros(_MOST)
         self._count = 0
         self._start = self._time = self._displacement = 0.0
@@ -91,7 +83,8 @@ def dominant_frequency(values: Array, rate: float) -> float | None:
     velocity -= velocity.mean()
     power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2
     step = rate / _POINTS
-    width = _HALF_WIDTH * rate / velocity.size / step
+    # The peak of a Hann window is 4 steps of its length wide.
+    width = 2.0 * rate / velocity.size / step
     lowest = math.ceil(max(_SLOWEST, _PERIODS * rate / velocity.size) / step)
     highest = math.floor(_FASTEST / step)
     peak = lowest + int(np.argmax(power[lowest : highest + 1]))

@@ -11,11 +11,7 @@ from typing import NamedTuple
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
-from fden_ros.core.oscillation.out_of_step import (
-    PhaseGrowth,
-    leads_beyond_right_angle,
-    sentence,
-)
+from fden_ros.core.oscillation.out_of_step import PhaseGrowth, leads_beyond_right_angle, sentence
 from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
 from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
@@ -45,7 +41,6 @@ class PalpationMeter:
         Amplitude of the displacement [m] below which there is no palpation.
     time_scale : float
         tau of the apparent stiffness [s].
-    config : EstimatorConfig
     length : float or None
         By which the displacement is a strain [m]; None: it is not, so there is no Gn.
     """
@@ -73,16 +68,12 @@ class PalpationMeter:
         self._found: Palpated | None = None
         self._found_time = 0.0
         self._phases = PhaseGrowth()
-        self._out_of_step: str | None = None
+        #: The first phase that no relaxation makes, in one line; None: there was none.
+        self.out_of_step: str | None = None
 
     def move_on(self) -> None:
         """Compare phases anew: this is another place."""
         self._phases = PhaseGrowth()
-
-    @property
-    def out_of_step(self) -> str | None:
-        """The first phase that no relaxation makes, in one line; None: there was none."""
-        return self._out_of_step
 
     @property
     def begins_window(self) -> bool:
@@ -98,12 +89,7 @@ class PalpationMeter:
     def add(self, time: float, displacement: float, force: float) -> Measured | None:
         """Take a sample; return what the window tells that ended before it, if one did.
 
-        Parameters
-        ----------
-        time : float
-            [s], increasing.
-        displacement, force : float
-            [m] and [N].
+        `time` [s] increases; `displacement` [m], `force` [N].
         """
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value
@@ -142,12 +128,11 @@ class PalpationMeter:
             stiffness.windows * modulus.samples,
             grows=self._phases.grows(self._config.uncertainty),
         )
-        is_known = found is not None and found.apparent is not None
-        if found is not None and is_known:
+        if found is not None and found.apparent is not None:
             return self._with_nonlinearity(found)
         leads = value.value.imag > 0.0 and found is not None
         if leads or leads_beyond_right_angle(value):
-            self._out_of_step = self._out_of_step or sentence(value.value, frequency)
+            self.out_of_step = self.out_of_step or sentence(value.value, frequency)
         return found
 
     def _with_nonlinearity(self, found: Palpated) -> Palpated:

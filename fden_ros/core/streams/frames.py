@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import Around, Join, Matched
 from fden_ros.core.streams.rotation import (
     Transform,
@@ -38,28 +37,20 @@ class FramesConfig:
 
     Parameters
     ----------
-    base : str
-        Frame in which the axes are given.
-    probe : str
-        Frame of the probe's tip; also of forces that name no frame.
     force_axis, displacement_axis : Vector
         Unit vectors in `base`.
-    moves_probe : bool
-        The displacement is that of `probe` in `base`.
-    tool : ToolWeight, optional
-        Its weight is taken off the force.
     """
 
-    base: str
-    probe: str
+    base: str  #: frame in which the axes are given
+    probe: str  #: frame of the probe's tip; also of forces that name no frame
     force_axis: Vector
     displacement_axis: Vector
-    moves_probe: bool = False
-    tool: ToolWeight | None = None
+    moves_probe: bool = False  #: the displacement is that of `probe` in `base`
+    tool: ToolWeight | None = None  #: its weight is taken off the force
 
 
-class StaticLinks(dict[str, tuple[str, Transform]]):
-    """By the name of a frame, its parent and where it is in it, at all times."""
+#: By the name of a frame, its parent and where it is in it, at all times.
+StaticLinks = dict[str, tuple[str, Transform]]
 
 
 class _Link:
@@ -68,7 +59,6 @@ class _Link:
     def __init__(self, parent: str) -> None:
         self.parent = parent
         self.kept: deque[tuple[int, Transform]] = deque(maxlen=_MOST_KEPT)
-        self.guard: StreamGuard | None = None
         self.join: Join | None = None
 
 
@@ -77,32 +67,22 @@ class Frames:
 
     Parameters
     ----------
-    config : FramesConfig
     make_join : callable
-        Makes the guard of a link's transforms and what lets forces wait for them.
+        Makes what lets forces wait for a link's transforms.
     statics : StaticLinks
         Those known by now; added to.
-
-    Attributes
-    ----------
-    joins : list of Join
-        Of the links that count, in order; empty until all are known, and where all are static.
-    is_known : bool
-        Whether each frame that counts leads to the base.
     """
 
     def __init__(
-        self,
-        config: FramesConfig,
-        make_join: Callable[[], tuple[StreamGuard, Join]],
-        statics: StaticLinks,
+        self, config: FramesConfig, make_join: Callable[[], Join], statics: StaticLinks
     ) -> None:
         self._config, self._make_join = config, make_join
         self._statics = statics
         self._links: dict[str, _Link] = {}
         self._force_frame: str | None = None
+        #: Of the links that count, in order; empty until all are known, and where all are static.
         self.joins: list[Join] = []
-        self.is_known = False
+        self.is_known = False  #: whether each frame that counts leads to the base
         #: Which links count, in order.
         self._chain: tuple[str, ...] = ()
         #: By a frame, its ancestors below the one that it has in common with the base, and the
@@ -123,11 +103,19 @@ class Frames:
         return next((f for f in self._wanted() if self._ancestors(f)[-1] != found), "")
 
     @property
-    def known(self) -> tuple[str, ...]:
-        """The frames that transforms have named."""
+    def problem(self) -> str:
+        """What is wrong where a frame does not lead to the base, in words; or empty."""
+        missing = self.missing
+        if not missing:
+            return ""
         links = {child: link.parent for child, link in self._links.items()}
         links |= {child: parent for child, (parent, _) in self._statics.items()}
-        return tuple(sorted({*links, *links.values()}))
+        known = ", ".join(sorted({*links, *links.values()})) or "none"
+        return (
+            f"no chain of transforms leads from {missing} to {self._config.base}: /tf and "
+            f"/tf_static name {known}; set frames.base and frames.probe to frames that are "
+            "connected"
+        )
 
     def add_transform(
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
@@ -195,9 +183,8 @@ class Frames:
         self._chain = tuple(frame for frame in frames if frame in self._links)
         self.is_known = True
         for child in self._chain:
-            link = self._links[child]
-            link.guard, link.join = self._make_join()
-            self.joins.append(link.join)
+            join = self._links[child].join = self._make_join()
+            self.joins.append(join)
         for child, link in self._links.items():
             kept, link.kept = link.kept, deque(maxlen=1)
             if child in self._chain:
@@ -205,11 +192,10 @@ class Frames:
                     self._follow(link, stamp_ns, transform)
 
     def _follow(self, link: _Link, stamp_ns: int, transform: Transform) -> None:
-        assert link.guard is not None and link.join is not None
-        x, y, z = transform.translation
-        link.join.follow(
-            link.guard.accept(stamp_ns, x + y + z, transform.translation, turn=transform.rotation)
-        )
+        assert link.join is not None
+        place, turn = transform
+        x, y, z = place
+        link.join.follow(stamp_ns, x + y + z, place, turn=turn)
 
     # At an instant
 

@@ -60,38 +60,31 @@ _MIN_STEP_NS = 10_000
 #: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
 #: a jump of the clock; by less, a late sample.
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
-#: A stamp more than 10 usual steps, or more than 1 s [ns], ahead waits for the next sample to
-#: confirm it: one that follows within 1 s, or within 10 times its own step.
+#: A step longer than 10 usual ones is far. Of a stream, it waits for the next sample to confirm
+#: it, as one of more than 1 s does: that follows within 1 s, or within 10 times the step.
 _FAR_STEPS = 10.0
-_FORWARD_JUMP_NS = NANOSECONDS
 #: In a stream with steps above 0.3 s these are 3 usual steps in place of 1 s.
 _SLOW_FAR_STEPS = 3.0
 #: 20 late samples in a row, in order among themselves, are a jump of the clock too.
 _LATE_RUN = 20
-#: Gain of the exponential means of the step between stamps and of the change between values.
-_GAIN = 1.0 / 32.0
+#: The means of the step between stamps and of the change between values are over 32 samples, and
+#: are used for tests from so many on.
+USUAL_SAMPLES = 32
 #: A value more than 12 mean changes away from its neighbours on both sides is a spike.
 _SPIKE_CHANGES = 12.0
-#: A change enters the mean change as at most 4 times the mean, so that a spike does not move it.
+#: A change, or a step, enters its mean as at most 4 times that: no spike, and no pause, moves it.
 _MOST_GROWTH = 4.0
 #: A turn of a frame counts as the motion of a point this far from it [m].
 _LEVER = 0.1
-#: Mean step and mean change are used for tests once they rest on 32 samples.
-_USUAL_SAMPLES = 32
 #: A force that repeats one value is stuck, and dropped until it changes, after 5 samples in a row
 #: and 5 times longer than its longest run before ...
-_STUCK_SAMPLES = 5
-_STUCK_TIMES = 5
+_STUCK = 5
 #: ... unless its usual change is less than 4 of the steps in which it comes: such a force stands
 #: still between two steps.
 _FINE_STEPS = 4.0
-#: A step between samples enters its mean as at most 4 times the mean: a pause is not usual.
-_MOST_STEP_GROWTH = 4.0
-#: A step between pairs is a gap when it is longer than 10 mean steps and than 20 ms [ns]; the mean
-#: step follows with this gain.
-_GAP_STEPS = 10.0
-_GAP_NS = 20_000_000
-_GAP_GAIN = 0.05
+#: A step between pairs is a gap when it is far, and longer than 20 ms [ns]; the mean step is over
+#: 20 pairs.
+_GAP_NS, _GAP_SAMPLES = 20_000_000, 20
 
 
 def force_at_limit(rejected: Counter[str]) -> int:
@@ -104,14 +97,11 @@ class UsualStep:
 
     The larger of the mean of all steps and of the shorter one of the last two.
 
-    Parameters
-    ----------
-    gain : float
-        Of the exponential mean [1].
+    The mean is exponential, over so many `samples`.
     """
 
-    def __init__(self, gain: float) -> None:
-        self._gain = gain
+    def __init__(self, samples: int) -> None:
+        self._gain = 1.0 / samples
         self._last_ns = 0.0
         self._mean_ns = 0.0
         self.value_ns = 0.0  #: 0 before the first step [ns]
@@ -121,7 +111,7 @@ class UsualStep:
         """Take a step."""
         self.count += 1
         mean_ns = self._mean_ns or step_ns
-        growth_ns = min(step_ns, _MOST_STEP_GROWTH * mean_ns) - mean_ns
+        growth_ns = min(step_ns, _MOST_GROWTH * mean_ns) - mean_ns
         self._mean_ns = mean_ns + self._gain * growth_ns
         self.see(step_ns)
 
@@ -153,7 +143,7 @@ class StreamGuard:
         self._held: Sample | None = None
         self._late_run = 0
         self._late_newest_ns = 0
-        self._usual = UsualStep(_GAIN)
+        self._usual = UsualStep(USUAL_SAMPLES)
         self._values = ValueGuard(limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
@@ -246,8 +236,8 @@ class StreamGuard:
         step = sample.stamp_ns - self._newest_ns
         # Taken at once, a stray stamp a little ahead would make all that come after it late.
         usual_ns = self._usual.value_ns
-        far: float = _FORWARD_JUMP_NS
-        if self._usual.count >= _USUAL_SAMPLES:
+        far: float = NANOSECONDS
+        if self._usual.count >= USUAL_SAMPLES:
             far = min(_FAR_STEPS * usual_ns, far)
         far = max(far, _SLOW_FAR_STEPS * usual_ns)
         if _MIN_STEP_NS <= step <= far:
@@ -277,7 +267,7 @@ class StreamGuard:
         self._held = None
         is_ahead = held.stamp_ns > self._newest_ns
         own_ns = _FAR_STEPS * (held.stamp_ns - self._newest_ns) if is_ahead else 0.0
-        far = max(_FORWARD_JUMP_NS, _SLOW_FAR_STEPS * self._usual.value_ns, own_ns)
+        far = max(NANOSECONDS, _SLOW_FAR_STEPS * self._usual.value_ns, own_ns)
         if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far and (
             is_ahead or sample.stamp_ns < self._newest_ns
         ):
@@ -301,12 +291,8 @@ class StreamGuard:
 class ValueGuard:
     """Tell measured values from spikes and from those of a sensor that is stuck.
 
-    Parameters
-    ----------
-    limits_runs : bool
-        Whether a signal that stands still is suspicious; a displacement may well.
-    is_vector : bool
-        Whether positions and turns count, not values.
+    A signal that stands still is suspicious where it `limits_runs`; a displacement may well. Where
+    it `is_vector`, positions and turns count, not values.
     """
 
     def __init__(self, limits_runs: bool, is_vector: bool = False) -> None:
@@ -330,8 +316,8 @@ class ValueGuard:
         """Whether the signal repeats a value 5 times longer than it did before."""
         return (
             self._limits_runs
-            and self._run >= max(_STUCK_SAMPLES, _STUCK_TIMES * self._longest_run)
-            and self._changes >= _USUAL_SAMPLES
+            and self._run >= _STUCK * max(1, self._longest_run)
+            and self._changes >= USUAL_SAMPLES
             and self._usual_change >= _FINE_STEPS * self._resolution.step
         )
 
@@ -354,7 +340,7 @@ class ValueGuard:
             if change >= 0.5 * self._distance(last, held):
                 return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
             judged.append((held, Reason.SPIKE))
-        if self._changes >= _USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
+        if self._changes >= USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
             self._held = sample
             return judged
         judged.append((sample, self._follow(last, sample)))
@@ -385,7 +371,7 @@ class ValueGuard:
     def _learn(self, change: float) -> None:
         # Only of changes: a coarse signal stands still most of the time.
         usual = self._usual_change or change
-        self._usual_change = usual + _GAIN * (min(change, _MOST_GROWTH * usual) - usual)
+        self._usual_change = usual + (min(change, _MOST_GROWTH * usual) - usual) / USUAL_SAMPLES
 
 
 class GapGuard:
@@ -393,7 +379,7 @@ class GapGuard:
 
     def __init__(self) -> None:
         self.newest_ns: int | None = None
-        self._usual = UsualStep(_GAP_GAIN)
+        self._usual = UsualStep(_GAP_SAMPLES)
 
     def step(self, stamp_ns: int) -> int:
         """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
@@ -402,7 +388,7 @@ class GapGuard:
             return 0
         step_ns = stamp_ns - previous_ns
         usual_ns = self._usual.value_ns
-        if usual_ns and step_ns > max(_GAP_STEPS * usual_ns, _GAP_NS):
+        if usual_ns and step_ns > max(_FAR_STEPS * usual_ns, _GAP_NS):
             self._usual.see(float(step_ns))
             return step_ns
         self._usual.add(float(step_ns))

@@ -11,11 +11,12 @@ the same matches.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.rotation import Quaternion
 from fden_ros.core.streams.samples import Position, Sample
 
 #: The noise of a stream is measured over its last 256 samples.
@@ -37,14 +38,12 @@ class Around(NamedTuple):
     @property
     def value(self) -> float:
         """Value at the instant, linear in between."""
-        before, after, fraction = self
-        return before.value + fraction * (after.value - before.value)
+        return self.before.value + self.fraction * (self.after.value - self.before.value)
 
     @property
     def load(self) -> float:
         """Load at the instant, linear in between."""
-        before, after, fraction = self
-        return before.load + fraction * (after.load - before.load)
+        return self.before.load + self.fraction * (self.after.load - self.before.load)
 
     @property
     def position(self) -> Position | None:
@@ -66,21 +65,17 @@ class JoinLimits:
 
     Parameters
     ----------
-    max_gap_ns : int
-        Samples further apart than this, and than 2 usual steps of the leading stream, are not
-        interpolated between.
-    window_ns : int
-        A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they
-        are longer.
-    delay_ns : int
-        The following stream's stamps lag the leading one's by this much.
     unpaired, gap : str
         Reasons to reject a leading sample: without a sample around it; in a gap.
     """
 
+    #: Samples further apart than this, and than 2 usual steps of the leading stream, are not
+    #: interpolated between.
     max_gap_ns: int
+    #: A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they are
+    #: longer.
     window_ns: int
-    delay_ns: int
+    delay_ns: int  #: the following stream's stamps lag the leading one's by this much
     unpaired: str
     gap: str
 
@@ -90,15 +85,10 @@ class Passed:
 
     Pairs that wait for yet another stream leave samples behind too: those count from when the
     pair is made, so that what is known at a pair does not depend on how long it waited.
-
-    Attributes
-    ----------
-    samples : deque of Sample
-        The last 256.
     """
 
     def __init__(self) -> None:
-        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)  #: the last 256
         self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
 
     def add(self, key: tuple[int, int], sample: Sample) -> None:
@@ -116,17 +106,13 @@ class Join:
 
     Parameters
     ----------
-    limits : JoinLimits
-    lead_guard, follow_guard : StreamGuard
-        Have accepted the samples; rejected leading samples are counted by theirs.
+    lead_guard : StreamGuard
+        Has accepted the leading samples, and counts those that are rejected here.
+    follow_guard : StreamGuard
+        Accepts the following ones.
     on_match : callable
         Called in order with each leading sample and what it has been matched with, this stream
         last.
-
-    Attributes
-    ----------
-    passed : Passed
-        The samples of the following stream that nothing waits for any more.
     """
 
     def __init__(
@@ -141,6 +127,7 @@ class Join:
         self._on_match = on_match
         self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
+        #: The samples of the following stream that nothing waits for any more.
         self.passed = Passed()
         self._behind_since_ns: int | None = None
 
@@ -155,10 +142,17 @@ class Join:
         self._bound_leading(sample)
         self._match()
 
-    def follow(self, samples: Iterable[Sample]) -> None:
-        """Take accepted samples of the following stream."""
+    def follow(
+        self,
+        stamp_ns: int,
+        value: float,
+        position: Position | None = None,
+        load: float = 0.0,
+        turn: Quaternion | None = None,
+    ) -> None:
+        """Take a sample of the following stream, if its guard accepts it."""
         delay_ns = self._limits.delay_ns
-        for sample in samples:
+        for sample in self._follow_guard.accept(stamp_ns, value, position, load, turn):
             if delay_ns:
                 sample = sample._replace(stamp_ns=sample.stamp_ns - delay_ns)
             self._following.append(sample)

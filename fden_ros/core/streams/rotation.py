@@ -93,11 +93,7 @@ def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def dot(a: Vector, b: Vector) -> float:

@@ -18,18 +18,9 @@ from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, betw
 from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.join import NOISE_SAMPLES, Join, JoinLimits, Matched, Passed
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector, dot
-from fden_ros.core.streams.samples import (
-    NANOSECONDS,
-    Pair,
-    Position,
-    Reason,
-    Sample,
-)
+from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
-#: The median of the magnitude of a normal variable, by which noise is measured, in standard
-#: deviations.
-_MEDIAN_OF_NORMAL = 0.6745
 #: Variance of what is rounded off, in squares of a step: four times that of a single value,
 #: since it stays over several samples while the probe moves (six in a press at 4 mm/s by an
 #: encoder of 50 um at 500 Hz).
@@ -97,7 +88,6 @@ class Synchronizer:
 
     Parameters
     ----------
-    config : SynchronizeConfig
     on_pair : callable
         Called with each :class:`Pair`, in order.
     rejected : collections.Counter
@@ -126,18 +116,15 @@ class Synchronizer:
             "displacement",
             is_vector=config.tool_path is not None,
         )
-        self.surface_guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._displacements = Join(
-            self._limits(config.displacement_delay, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP),
-            self.force_guard,
+        self._displacements = self._join(
             self.displacement_guard,
-            self._advance,
+            config.displacement_delay,
+            Reason.UNPAIRED,
+            Reason.DISPLACEMENT_GAP,
         )
-        self._surfaces = Join(
-            self._limits(config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP),
-            self.force_guard,
-            self.surface_guard,
-            self._advance,
+        guard = StreamGuard(config.displacement_limit, rejected, "surface")
+        self._surfaces = self._join(
+            guard, config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP
         )
         self.frames: Frames | None = None
         self._moves_probe = False  # the transforms give the displacement
@@ -146,7 +133,7 @@ class Synchronizer:
         if config.frames is not None:
             self._moves_probe = config.frames.moves_probe
             known = statics if statics is not None else StaticLinks()
-            self.frames = Frames(config.frames, self._transforms, known)
+            self.frames = Frames(config.frames, self._link, known)
         self._joins: list[Join] = []  # in the order in which a force waits for them
         if self.frames is None:
             self._order_joins()
@@ -157,22 +144,23 @@ class Synchronizer:
         last = [self._surfaces] if self._config.takes_surface else []
         self._joins = [*first, *links, *last]
 
-    def _transforms(self) -> tuple[StreamGuard, Join]:
-        """Return the guard of a link between frames, and what lets forces wait for it."""
+    def _link(self) -> Join:
+        """Return what lets forces wait for a link between frames."""
         config = self._config
         guard = StreamGuard(config.displacement_limit, self._rejected, "transform", is_vector=True)
         delay = config.displacement_delay
-        limits = self._limits(delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
-        return guard, Join(limits, self.force_guard, guard, self._advance)
+        return self._join(guard, delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
 
-    def _limits(self, delay: float, unpaired: str, gap: str) -> JoinLimits:
-        return JoinLimits(
+    def _join(self, guard: StreamGuard, delay: float, unpaired: str, gap: str) -> Join:
+        """Return what lets forces wait for a stream whose stamps lag by `delay` [s]."""
+        limits = JoinLimits(
             max_gap_ns=round(self._config.max_gap * NANOSECONDS),
             window_ns=round(self._config.pairing_window * NANOSECONDS),
             delay_ns=round(delay * NANOSECONDS),
             unpaired=unpaired,
             gap=gap,
         )
+        return Join(limits, self.force_guard, guard, self._advance)
 
     @property
     def waiting(self) -> int:
@@ -224,14 +212,12 @@ class Synchronizer:
 
         `load` [N] is what the sensor measures there without any contact.
         """
-        self._displacements.follow(
-            self.displacement_guard.accept(stamp_ns, displacement, position, load, turn)
-        )
+        self._displacements.follow(stamp_ns, displacement, position, load, turn)
 
     def add_surface(self, stamp_ns: int, surface: float) -> None:
         """Add a place of the tissue's surface, along the displacement [m]."""
         if self._config.takes_surface:
-            self._surfaces.follow(self.surface_guard.accept(stamp_ns, surface))
+            self._surfaces.follow(stamp_ns, surface)
 
     def _lead(self, forces: tuple[Sample, ...], frame: str = "") -> None:
         for force in forces:
@@ -328,6 +314,7 @@ def _noise_of(samples: deque[Sample]) -> float:
     fraction = step[:-1] / (step[:-1] + step[1:])
     apart = value[1:-1] - (1.0 - fraction) * value[:-2] - fraction * value[2:]
     scale = np.sqrt(1.0 + fraction**2 + (1.0 - fraction) ** 2)
-    sd = float(np.median(np.abs(apart / scale))) / _MEDIAN_OF_NORMAL
+    # The median of a normal variable's magnitude is 0.6745 deviations.
+    sd = float(np.median(np.abs(apart / scale))) / 0.6745
     rounding = _ROUNDING_VARIANCE * samples[-1].resolution ** 2
     return max(sd**2, rounding) * float(np.median(step))

@@ -29,18 +29,11 @@ from fden_ros.core.streams.rotation import (
 
 @dataclass(frozen=True)
 class ToolPathConfig:
-    """Along what a probe advances.
+    """Along what a probe advances."""
 
-    Parameters
-    ----------
-    axis : Vector
-        Unit vector in the probe's frame, out of its tip.
-    normal : Vector, optional
-        Unit vector into the tissue, perpendicular to its surface; where it is not known, the
-        probe is taken to stand upright.
-    """
-
-    axis: Vector
+    axis: Vector  #: unit vector in the probe's frame, out of its tip
+    #: Unit vector into the tissue, perpendicular to its surface; where it is not known, the probe
+    #: is taken to stand upright.
     normal: Vector | None = None
 
 
@@ -49,10 +42,6 @@ class ToolPath:
 
     Steps are projected on the axis of their time, so that a turn far from the origin
     adds nothing.
-
-    Parameters
-    ----------
-    config : ToolPathConfig
     """
 
     def __init__(self, config: ToolPathConfig) -> None:

@@ -1,0 +1,284 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is told of one contact: its flags, its largest values, its states and its summary."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from fden_ros.core.apparent_stiffness import apparent_stiffness_of
+from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
+from fden_ros.core.classification.labelling import Answer, Labeller, Labelling
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
+from fden_ros.core.outputs import (
+    WITHHELD,
+    ApparentStiffness,
+    Classification,
+    ContactSummary,
+    DynamicModulus,
+    Flag,
+    Output,
+    Phase,
+    Signals,
+    Status,
+    TissueState,
+    estimate_flags,
+    order_source,
+)
+from fden_ros.core.plausibility import Plausibility
+from fden_ros.core.site import Learned, Site
+from fden_ros.core.streams.guard import force_at_limit
+from fden_ros.core.streams.samples import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class Common:
+    """What all contacts share."""
+
+    config: PipelineConfig
+    rejected: Counter[str]  #: samples so far, by the reason
+    labeller: Labeller
+    plausibility: Plausibility  #: judges each contact
+    sums: BlockSums  #: of the present block
+
+
+class Account:
+    """What is told of one contact, from the touch on."""
+
+    def __init__(self, contact_id: int, onset: Onset, site: Site, common: Common) -> None:
+        config = common.config
+        self.max_force = 0.0  #: the largest so far [N]
+        self._contact_id, self._site = contact_id, site
+        self._position, self._start_ns = onset.samples[0].position, onset.samples[0].stamp_ns
+        self._common, self._config = common, config
+        self._labelling = Labelling(
+            common.labeller, site.site_id, site.position, self._start_ns, site.change_count
+        )
+        self._own_flags = Flag.NONE
+        self._phase = PhaseMeter()
+        frequencies, periods = config.dither_frequencies, config.dither_periods
+        self._meter = ComplexModulusMeter(frequencies, periods) if frequencies else None
+        self._max_strain = self._max_stress = 0.0  # [1, Pa]; the stress at the largest force
+        self._deepest: float | None = None  # compression from the nominal origin [1]
+        self._sample_count = 0
+        self._changes_before = site.change_count
+        self._rejected_before = common.rejected.total()
+        self._rejected_after: int | None = None
+        self._at_limit_before = force_at_limit(common.rejected)
+
+    @property
+    def flags(self) -> Flag:
+        """What to know of it: what stands against its site, and what it has shown itself."""
+        return self._own_flags | self._site.flags
+
+    # Samples and blocks
+
+    def take(self, sample: ContactSample, *, learns: bool) -> list[DynamicModulus]:
+        """Take a sample; return the complex moduli that end with it.
+
+        `learns`: the estimator takes it too.
+        """
+        self.count(sample.force)
+        meter = self._meter
+        if meter is None:
+            return []
+        if sample.is_free or not learns or self.flags & WITHHELD:
+            meter.reset()
+            return []
+        strain = self._strain(sample.compression, self._site.estimate)
+        elapsed = (sample.stamp_ns - self._start_ns) / NANOSECONDS
+        return [
+            DynamicModulus(
+                stamp_ns=sample.stamp_ns,
+                start_ns=self._start_ns + round(modulus.start * NANOSECONDS),
+                site_id=self._site.site_id,
+                contact_id=self._contact_id,
+                modulus=modulus,
+            )
+            for modulus in meter.add(elapsed, strain, sample.stress)
+        ]
+
+    def count(self, force: float) -> None:
+        """Count a sample of net force [N]."""
+        self._sample_count += 1
+        if force > self.max_force:
+            self.max_force = force
+            self._max_stress = force * self._config.geometry.stress_per_force
+
+    def skip(self) -> None:
+        """Take note that samples are missing."""
+        self.see_missing()
+        if self._meter is not None:
+            self._meter.reset()
+
+    def see_missing(self) -> None:
+        """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""
+        if force_at_limit(self._common.rejected) > self._at_limit_before:
+            self._own_flags |= Flag.SATURATED
+
+    def leave(self) -> None:
+        """Count no more rejected samples: the probe has left."""
+        self._rejected_after = self._common.rejected.total()
+
+    def close_block(
+        self, stamp_ns: int, block: Learned, *, learns: bool, is_silent: bool
+    ) -> Iterator[Output]:
+        """Take a block that ends at a stamp; give its state and the label, if it is new.
+
+        `learns`: the estimator took it too; `is_silent`: nothing is given.
+        """
+        if block.innovation is not None:
+            self._judge()
+        phase = self._phase.add(stamp_ns, block.compression)
+        if self._deepest is None or block.compression > self._deepest:
+            self._deepest = block.compression
+        usable = self._site.usable_estimate if learns else None
+        strain = self._strain(block.compression, usable)
+        self._max_strain = max(self._max_strain, strain)
+        if learns:
+            self.judge_units(stamp_ns)
+        if is_silent:
+            return
+        live = self._site.live_estimate if learns else None
+        state = self._state(stamp_ns, block, live, strain, phase)
+        yield state if learns else replace(state, status=Status.UNKNOWN)
+        answers = self._labelling.update(
+            stamp_ns,
+            self._site.usable_estimate if learns else None,
+            self._max_strain,
+            block=self._common.sums.number,
+            change_count=self._site.change_count,
+            is_mismatch=bool(self.flags & Flag.MODEL_MISMATCH),
+        )
+        for answer in answers:
+            yield self._classification(stamp_ns, answer)
+
+    def _judge(self) -> None:
+        """Flag what the site's estimator has found since the touch."""
+        if self._site.change_count > self._changes_before:
+            self._own_flags |= Flag.TISSUE_CHANGED
+        # The newest judgement counts: an earlier one had seen less of the tissue.
+        self._own_flags &= ~Flag.MODEL_MISMATCH
+        if self._site.is_mismatch:
+            self._own_flags |= Flag.MODEL_MISMATCH
+
+    def judge_units(self, stamp_ns: int, *, is_over: bool = False) -> None:
+        """Withhold the estimate of a contact that cannot be what its units say."""
+        # From where the touch was found, not from the estimate's origin.
+        strain = self._config.geometry.strain(max(self._deepest or 0.0, 0.0))
+        if self._common.plausibility.is_implausible(
+            stamp_ns, strain, self.max_force, self._max_stress, is_over=is_over
+        ):
+            self._site.doubt(Flag.IMPLAUSIBLE)
+
+    # Outputs
+
+    def _strain(self, compression: float, estimate: Estimate | None) -> float:
+        """Return the strain from the origin of an estimate [1]."""
+        origin = estimate.strain_origin if estimate is not None else 0.0
+        return self._config.geometry.strain(compression - origin)
+
+    def _stiffness(
+        self, estimate: Estimate | None, compression: float | None, stress: float
+    ) -> ApparentStiffness | None:
+        """Return it about a compression [1] and stress [Pa]; None while not known."""
+        geometry, time_scale = self._config.geometry, self._config.apparent_stiffness_time_scale
+        return apparent_stiffness_of(estimate, geometry, compression, stress, time_scale)
+
+    def _state(
+        self, stamp_ns: int, block: Learned, estimate: Estimate | None, strain: float, phase: Phase
+    ) -> TissueState:
+        is_converged = estimate is not None and estimate.converged
+        # Where the newest data are unexplained N/m was wrong by a factor of up to 50.
+        explained = None if self._site.is_doubtful else estimate
+        return TissueState(
+            stamp_ns=stamp_ns,
+            status=Status.CONVERGED if is_converged else Status.CONVERGING,
+            flags=self.flags | estimate_flags(estimate),
+            site_id=self._site.site_id,
+            contact_id=self._contact_id,
+            phase=phase,
+            order_source=order_source(estimate, self._config.estimator),
+            estimate=estimate.stated if estimate is not None else None,
+            signals=Signals(strain, block.stress, block.fractional_stress),
+            innovation=block.innovation,
+            apparent_stiffness=self._stiffness(explained, block.compression, block.stress),
+        )
+
+    def unknown(self, stamp_ns: int) -> TissueState:
+        """Return the state where the estimation has failed."""
+        return TissueState(
+            stamp_ns=stamp_ns,
+            status=Status.UNKNOWN,
+            flags=self.flags,
+            site_id=self._site.site_id,
+            contact_id=self._contact_id,
+            phase=Phase.NONE,
+        )
+
+    def _classification(self, stamp_ns: int, answer: Answer) -> Classification:
+        return Classification(
+            stamp_ns=stamp_ns,
+            decision=answer.decision,
+            site_id=self._site.site_id,
+            contact_id=self._contact_id,
+            flags=self.flags,
+            classes=answer.classes,
+            library_name=self._common.labeller.library_name,
+            decided=answer.decided,
+            comparison=answer.comparison,
+        )
+
+    def summary(self, end_ns: int, stamp_ns: int, *, complete: bool) -> ContactSummary:
+        """Return the summary, made at `stamp_ns`, of the contact that ends at `end_ns`."""
+        self._judge()
+        estimate = self._site.usable_estimate
+        answer = self._labelling.finish(end_ns, estimate, self._max_strain)
+        after = self._rejected_after
+        count = (self._common.rejected.total() if after is None else after) - self._rejected_before
+        rejected = Flag.INPUT_REJECTED if count else Flag.NONE
+        return ContactSummary(
+            stamp_ns=stamp_ns,
+            start_ns=self._start_ns,
+            end_ns=end_ns,
+            site_id=self._site.site_id,
+            contact_id=self._contact_id,
+            flags=self.flags | estimate_flags(estimate) | rejected,
+            converged=estimate is not None and estimate.converged,
+            complete=complete,
+            position=self._position,
+            order_source=order_source(estimate, self._config.estimator),
+            estimate=estimate.stated if estimate is not None else None,
+            max_strain=self._max_strain,
+            max_stress=self._max_stress,
+            max_force=self.max_force,
+            budget=self._site.budget(),
+            sample_count=self._sample_count,
+            rejected_count=count,
+            classes=answer.classes,
+            decided=answer.decided,
+            comparison=answer.comparison,
+            apparent_stiffness=self._stiffness(estimate, self._deepest, self._max_stress),
+        )
+
+    def second(self, first: ContactSummary, stamp_ns: int) -> ContactSummary:
+        """Return a summary that has been given before, with what the site says now."""
+        estimate = self._site.usable_estimate
+        found = replace(
+            first,
+            stamp_ns=stamp_ns,
+            flags=first.flags | self.flags,
+            estimate=estimate,
+            converged=estimate is not None and estimate.converged,
+            order_source=order_source(estimate, self._config.estimator),
+        )
+        if estimate is not None:
+            return found
+        self._common.labeller.forget(self._site.site_id)
+        return replace(found, classes=None, decided=None, comparison=None)

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The strain origin of a site: where its first touch finds the surface, or as it is given."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+from scipy.special import ndtr
+
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.streams.samples import Pair
+
+#: The surface found at the touch starts the estimator; its standard deviation is multiplied by
+#: this, since the estimator sees those samples again.
+ORIGIN_WIDENING = 3.0
+#: The force where a touch is found is the mean of this number of samples.
+_DETECTED = 3
+
+
+def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
+    """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
+    if config.strain_origin is not None:
+        return config.strain_origin, 0.0
+    origin_sd = math.hypot(found_sd(onset, config), _hidden_depth(onset, config))
+    return onset.displacement, origin_sd
+
+
+def found_sd(onset: Onset, config: PipelineConfig) -> float:
+    """Return the deviation of the origin where the touch shows it, as compression [1]."""
+    return ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
+
+
+def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
+    """Return how much deeper than a line says a probe may be where the force is found first [1].
+
+    Where the force rises out of the noise beyond the boundary strain 1/Gn only, a line finds the
+    surface by ln(stress Gn/G)/Gn of strain too late: the root of its mean square, for a G of the
+    prior and where it is positive, as compression.
+    """
+    if onset.shows_surface:
+        return 0.0
+    prior = config.estimator.prior
+    gn, sd = prior.nonlinear_stiffness, prior.linear_stiffness_log_sd
+    force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias
+    stress = max(force * config.geometry.stress_per_force, sys.float_info.min)
+    above = math.log(stress * gn / prior.linear_stiffness)
+    square = max(above, 0.0) ** 2
+    if sd > 0.0:
+        density = math.exp(-0.5 * (above / sd) ** 2) / math.sqrt(2.0 * math.pi)
+        square = (above**2 + sd**2) * float(ndtr(above / sd)) + above * sd * density
+    return config.geometry.compression(math.sqrt(max(square, 0.0)) / gn)
+
+
+def begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
+    """Whether the origin is given and a sample is there, so that no press came before it."""
+    if config.strain_origin is None:
+        return False
+    compression = (pair.displacement - config.strain_origin) / config.geometry.length
+    return compression <= config.block_compression

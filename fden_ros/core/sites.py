@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The sites that were touched: which of them a touch is of, or a new one."""
+
+from __future__ import annotations
+
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact.detector import Onset
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.outputs import Flag
+from fden_ros.core.site import Site, dips
+
+#: Sites whose tissue is remembered, so that a place that is pressed again is known [1].
+_MOST_VISITED = 16
+
+
+class Sites:
+    """The present site and those that were visited before.
+
+    `flags` stand against every estimate.
+    """
+
+    def __init__(self, config: PipelineConfig, flags: Flag) -> None:
+        self._config, self._flags = config, flags
+        self.count = 0  #: so far
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all but their number."""
+        self.present: Site | None = None
+        self.visited: list[Site] = []
+
+    def of(self, onset: Onset, left_unseen_ns: int | None, rig: RigKnowledge) -> Site:
+        """Return the site that is touched, from now on the present one.
+
+        The probe may have left a tissue unseen at `left_unseen_ns`; a new site begins with `rig`.
+        """
+        before, first = self.present, onset.samples[0]
+        is_elsewhere = before.is_elsewhere(onset) if before is not None else True
+        if before is not None and is_elsewhere is False:
+            return before
+        if before is not None and is_elsewhere:
+            before.put_away()
+        known = (s for s in reversed(self.visited) if s.is_observed)
+        site = next((s for s in known if s.whereabouts.is_at(first.position)), None)
+        if site is None:
+            self.count += 1
+            site = Site(self.count, onset, self._config, rig, self._flags)
+            self.visited = [*self.visited[1 - _MOST_VISITED :], site]
+        is_doubted = left_unseen_ns is not None and dips(first.stamp_ns - left_unseen_ns)
+        if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):
+            site.withdraw()
+        self.present = site
+        return site
+
+    def drop(self) -> None:
+        """Forget the present site: what comes next must not inherit its origin."""
+        self.visited = [site for site in self.visited if site is not self.present]
+        self.present = None

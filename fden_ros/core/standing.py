@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What stands against the estimate of a site, and what it claims by that."""
+
+from __future__ import annotations
+
+import enum
+
+from fden_ros.core.estimation.claims import Reservations, reserved
+from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.outputs import WITHHELD, Flag
+
+
+class SiteState(enum.IntEnum):
+    """Whether the tissue's past is known; it never goes back."""
+
+    OBSERVED = 0  #: from the first touch on, or that the tissue was at rest before
+    UNOBSERVED = 1  #: touch or past not seen, dragged, or a long gap
+    FAILED = 2  #: by an exception
+
+
+class Standing:
+    """The newest estimate of a site, less what stands against it."""
+
+    def __init__(self, config: EstimatorConfig, flags: Flag) -> None:
+        self.state = SiteState.OBSERVED
+        self.flags = flags  #: what stands against every estimate of the site
+        self.estimate: Estimate | None = None  #: the newest, with no more claimed than may be
+        self._estimator_config = config
+        self._own: Estimate | None = None  # of the data alone
+        self._variance_factor = 1.0
+
+    @property
+    def is_observed(self) -> bool:
+        """Whether the tissue's past is known, so that an estimate can be right."""
+        return self.state is SiteState.OBSERVED
+
+    @property
+    def usable_estimate(self) -> Estimate | None:
+        """The newest estimate, where the history has been seen."""
+        return self.estimate if self.is_observed else None
+
+    def find(self, own: Estimate | None) -> None:
+        """Take the newest estimate of the data alone."""
+        self._own = self.estimate = own
+        if own is not None:
+            is_withheld = bool(self.flags & WITHHELD)
+            found = Reservations(variance_factor=self._variance_factor, is_withheld=is_withheld)
+            self.estimate = reserved(self._estimator_config, own, found)
+
+    def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
+        """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
+        self.flags |= flag
+        self._variance_factor = max(self._variance_factor, variance_factor)
+        self.find(self._own)
+
+    def withdraw(self, flag: Flag = Flag.ORIGIN_UNCERTAIN) -> None:
+        """Say nothing any more: the tissue under the probe has a past that was not seen."""
+        self._go(SiteState.UNOBSERVED, flag)
+
+    def fail(self) -> None:
+        """Say nothing any more, after an exception."""
+        self._go(SiteState.FAILED, Flag.ESTIMATION_FAILED)
+        self.find(None)
+
+    def _go(self, state: SiteState, flag: Flag) -> None:
+        self.state = max(self.state, state)
+        self.flags |= flag
