@@ -330,7 +330,7 @@ def test_a_recording_that_begins_in_contact_shows_as_is_said(tmp_path):
 
 
 def costs() -> list[list[str]]:
-    return rows(section("docs/robots.md", "## What is not known counts"))
+    return rows(section("docs/robots.md", "## What the rig may have"))
 
 
 def test_the_page_on_robots_has_the_default_of_every_parameter_of_what_is_not_known():
