@@ -17,8 +17,8 @@ _USUAL_UNPAIRED = 2
 _DRIFT = "the force drifts in the air: tare, or let the sensor warm up"
 #: Where no touch was seen it may be the tissue's.
 _RISE = (
-    "the force rises without a touch: did the data begin in contact (begin in the air; a testing "
-    "machine's table: --from-touch), or does it drift (tare, or let the sensor warm up)?"
+    "the force rises without a touch. Did the data begin in contact (begin in the air; a testing "
+    "machine's table: --from-touch)? Or does it drift (tare, or let the sensor warm up)?"
 )
 #: Means over this time are compared with the first of them [ns].
 _BLOCK_NS = 100_000_000
