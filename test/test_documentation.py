@@ -149,7 +149,7 @@ def assert_alike(printed: str, shown: str) -> None:
         assert float(one) == pytest.approx(float(other), rel=1e-9, abs=1.01 * digit), printed
 
 
-@pytest.mark.parametrize(("page", "count"), [("README.md", 1), ("docs/configure.md", 4)])
+@pytest.mark.parametrize(("page", "count"), [("README.md", 1), ("docs/configure.md", 2)])
 def test_the_commands_of_a_page_print_what_is_shown_one_after_the_other(
     page, count, tmp_path, monkeypatch, capsys
 ):
