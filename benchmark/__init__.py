@@ -14,16 +14,16 @@ from __future__ import annotations
 
 #: Name of every benchmark, which is that of its module, and what it measures in a line.
 BENCHMARKS: dict[str, str] = {
-    "exact": "the law's own tissue: false alarms, silent errors, honesty, errors over the bound",
+    "exact": "the law's own tissue: false alarms, undetected errors, honesty, the bound",
     "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
     "real": "prediction of measured holds of beef and silicone",
-    "public": "recordings of others, beside the estimators of others and your own",
+    "public": "recordings of others, with the estimators of others and your own",
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
-    "robots": "what a real rig adds: breathing, compliance, hum; silent errors, contacts missed",
-    "changes": "inclusions and slides under the probe: how soon they are told; false ones",
+    "robots": "what a real rig adds: breathing, compliance, hum; errors and contacts missed",
+    "changes": "inclusions and slides under the probe: how soon they are reported; false ones",
     "classification": "probabilities that mean what they say, the unknown, real tissue",
-    "plan": "what a plan expects of a press, beside what the identifier says after it",
+    "plan": "what a plan expects of a press, and what the identifier states after it",
     "region": "presses until what is stiffer is found, by proposals and by a raster",
-    "replay": "a sample beside a filter's step; speed of replay beside decoding",
-    "node": "the node beside a bare relay on real DDS: losses, CPU, latency, memory",
+    "replay": "a sample and a filter's step; speed of replay and of decoding",
+    "node": "the node next to a bare relay on real DDS: losses, CPU, latency, memory",
 }

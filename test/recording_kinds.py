@@ -243,7 +243,7 @@ TABLES: dict[str, Table] = {
     "no unit of the way": asked(
         "Time (s),Load (N),Depth,Width", "which column is the displacement:"
     ),
-    "letters": asked("a,b,c,d", "it has a, b, c, d"),
+    "letters": asked("a,b,c,d", "has a, b, c, d"),
     "no units": asked("t,f,z", "do not say"),
     "no way": asked("time_s,force_N,temperature_K", "do not say"),
     # What cannot be read

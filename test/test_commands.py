@@ -99,7 +99,7 @@ REFUSALS = [
     ("train liver=nowhere -o {tmp}/l.yaml", 1, "no such file or folder"),
     ("train unknown/one=nowhere -o {tmp}/l.yaml", 1, "cannot be called `unknown`"),
     ("replay {tmp}/nowhere", 1, "does not exist"),
-    ("replay {tmp}/press.csv", 1, "it has time, force, depth"),
+    ("replay {tmp}/press.csv", 1, "has time, force, depth"),
     ("replay", 2, "error: "),
     ("replay bag --force-field a..b", 2, "error: "),
     ("replay bag --force", 2, "error: "),

@@ -173,7 +173,7 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
     assert process.returncode == 0
     output = process.output  # type: ignore[attr-defined]
     assert output.count("Traceback (most recent call last)") == 1
-    assert output.count("ZeroDivisionError: on purpose): what comes from this site") == 1
+    assert output.count("ZeroDivisionError: on purpose): this site gives no estimate") == 1
 
 
 @row("transitions_in_any_order")

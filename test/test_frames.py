@@ -318,6 +318,6 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     assert_alike(found, still)
     (words,) = [words for words in found.pipeline.warnings if "askew" in words]
     assert found.pipeline.warnings[words] == 1
-    assert "up to 20 degrees askew: the way along the tool is taken for 0.940 of it" in words
+    assert "up to 20 degrees askew: the motion along the tool counts as 0.940 of it" in words
     # The punch of 10 mm radius: 20 mm times the tangent.
     assert "by its edge first, over 7.3 mm" in words

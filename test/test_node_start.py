@@ -217,7 +217,7 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         bench.wait_for(lambda: refusal in bench.diagnostic().get("message", ""), refusal)
         assert bench.diagnostic_level() == DiagnosticStatus.ERROR
         found = examined("/arm/identifier", lambda e: refusal in e.page())
-        assert "mend what it refused" in found.next_step
+        assert "correct what it refused" in found.next_step
         assert "last refusal: none" not in found.page()
         assert set_library("")
         for is_first in (True, False):

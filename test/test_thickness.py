@@ -126,7 +126,7 @@ def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_
     unstated = replayed(capsys, bag, thickness=0.0)
     assert unstated["g"] > 1.3 * STIFFNESS
     (words,) = unstated["warnings"]
-    assert words.startswith("geometry.thickness is not stated, so the tissue is taken as thick")
+    assert words.startswith("geometry.thickness is not stated, so the tissue counts as thick")
     reached = re.search(r"the (\S+) mm reached", words)
     assert reached and float(reached[1]) == pytest.approx(1.5, rel=0.25)
 

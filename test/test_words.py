@@ -278,7 +278,7 @@ def test_a_touch_that_was_not_seen_is_said_where_the_command_ends():
     contact = summary(converged=False, estimate=None, flags=Flag.ORIGIN_UNCERTAIN)
     config = PipelineConfig(None, geometry=FlatPunch(math.pi * RADIUS**2, 0.02))
     words = shortfall(contact, config)
-    assert words.startswith("the touch was not seen") and "with a larger face" in words
+    assert words.startswith("the touch was not observed") and "with a larger face" in words
     assert next_step(contact, config) in words
 
 

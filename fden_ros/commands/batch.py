@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the table, CSV; FILE.parquet: as Parquet too, beside FILE.csv",
+        help="the table, CSV; FILE.parquet: as Parquet too, next to FILE.csv",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(

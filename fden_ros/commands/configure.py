@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from fden_ros.configure.survey import Survey
 
 DESCRIPTION = """\
-Find out what a recording tells of a probe: axes and signs, units, rates, noise, bias, drift, the
-delay between force and displacement, the compliance and the weight of the tool. Each finding says
-how sure it is and which seconds it rests on; what the recording cannot tell it says, with the
-motion that would. The parameter file that comes out is commented.
+Find out from a recording: axes and signs, units, rates, noise, bias, drift, the delay between
+force and displacement, the compliance and the weight of the tool. Each finding has its standard
+deviation and the seconds it rests on. What the recording cannot show is listed, with the motion
+that would show it. The parameter file that comes out is commented.
 """
 
 EPILOG = """\
@@ -37,10 +37,10 @@ examples:
   fden configure --live --robot ur -o probe.yaml          what to do, step by step
   fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
 
-A recording that tells everything: 2 s in the air; the tool turned through three orientations; a
-rigid plate pressed twice; three presses of tissue with a hold of 2 s, in the air in between; a
-sine of 0.5 mm in tissue at 1 and 4 Hz. No recording tells the indenter: state it. A table of a
-robot by name (--robot ur) has the headings of its recorder.
+A recording that shows everything has 2 s in the air, and the tool turned through three
+orientations. Then press a rigid plate twice, and tissue three times with a hold of 2 s. Then move
+by a sine of 0.5 mm in tissue at 1 and 4 Hz. No recording shows the indenter: state it. A table of
+a robot by name (--robot ur) has the headings of its recorder.
 """
 
 #: What its exit codes say beside those of all commands.
@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frames",
         metavar="BASE,PROBE",
         help="the displacement is the path of frame PROBE in BASE, by /tf; found where a bag has "
-        "nothing else",
+        "no other motion",
     )
     indenter = parser.add_argument_group("the indenter, which no recording shows")
     indenter.add_argument("--flat-punch", type=float, metavar="AREA", help="face [m^2]")

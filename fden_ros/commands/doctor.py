@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 
 DESCRIPTION = """\
-Listen to a running identifier for 3 s and print one page: what it hears and at which rates, what
-it lacks, what it refused last, and the one next step.
+Listen to a running identifier for 3 s and print one page. It has what the identifier hears and
+at which rates, what it lacks, what it refused last, and the one next step.
 """
 
 EPILOG = """\
@@ -20,7 +20,7 @@ examples:
 
 _UNWELL = 3
 #: What its exit codes say beside those of all commands.
-EXIT_CODES = {0: "all is well", _UNWELL: "there is something to mend"}
+EXIT_CODES = {0: "all is well", _UNWELL: "something is wrong"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

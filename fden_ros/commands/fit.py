@@ -78,13 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="start",
         type=number(),
         metavar="S",
-        help="leave out rows before this time (default: creep 1 s, else none)",
+        help="leave out rows before this time (default: creep 1 s, otherwise none)",
     )
     numbers.add_argument(
         "--alpha",
         type=number(above=0.0, below=1.0),
         metavar="A",
-        help="fractional order known from elsewhere (else the paper's convention counts)",
+        help="fractional order, if it is known (by default the paper's convention counts)",
     )
     numbers.add_argument(
         "--alpha-sd", type=positive, metavar="SD", help="its standard deviation (default: exact)"

@@ -65,10 +65,9 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
         "--columns",
         type=as_argument(_columns),
         metavar="T,F,D[,S]",
-        help="the recording is a table (CSV): headings or numbers of the columns of time, force "
-        "and displacement, and perhaps surface, each with an optional factor to s, N and m: "
-        "time_s,force_N,depth_mm*1e-3. @500 as time: rows at 500 Hz. Not needed where headings "
-        "name them with their units",
+        help="headings or numbers of a table's columns (CSV): time, force, displacement, perhaps "
+        "surface, each with an optional factor to s, N and m, as time_s,force_N,depth_mm*1e-3. "
+        "@500 as time: rows at 500 Hz. Not needed where headings name them with their units",
     )
     group.add_argument(
         "--rows",
@@ -84,9 +83,9 @@ def add_machine_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--from-touch",
         action=argparse.BooleanOptionalAction,
-        help="it begins at the touch or at a preload, tared, without air: the first sample is the "
-        "strain origin, the force's bias is 0, and the rig is rigid (config/bench.yaml); found by "
-        "itself, but for the rig, where the force rises from zero with the first motion",
+        help="it begins at the touch or at a preload, tared, without air. The first sample is the "
+        "strain origin, the force's bias is 0, and the rig is rigid (config/bench.yaml). All but "
+        "the rig is the default where the force rises from zero with the first motion",
     )
     size = as_argument(_size)
     face = group.add_mutually_exclusive_group()

@@ -156,7 +156,7 @@ def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
 
     presses = Presses.found(summaries)
     if not presses.is_told.any():
-        raise InputError("no press has told a stiffness: there is nothing to draw")
+        raise InputError("no press gave a stiffness: there is nothing to draw")
     region = Region((0.0, 0.0), (phantom.SIDE, phantom.SIDE))
     found = region.propose(presses)
     print(f"{len(presses.logs)} presses; {found.line()}")

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 _NOT_POSSIBLE = 3
 _TARGETS = ("G", "Gn", "alpha")
 DESCRIPTION = """\
-Plan the next press: how deep, how fast, how long; with the deviations that the identifier will
-state after it, the probability that these are what you want, or why that is not possible.
+Plan the next press: how deep, how fast, how long. The plan has the standard deviations that the
+identifier will state after it, and the probability that these meet the target. Otherwise it says
+why no press meets it.
 """
 
 EPILOG = """\

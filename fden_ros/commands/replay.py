@@ -49,7 +49,7 @@ The configuration is the identifier node's own parameter file.
 
 #: What its exit codes say beside those of all commands.
 EXIT_CODES = {
-    0: "identified: a contact is converged, or a stiffness in N/m is known",
+    0: "a contact is converged, or N/m is known",
     _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
 }
 

@@ -18,10 +18,10 @@ from fden_ros.commands.inputs import (
 )
 
 DESCRIPTION = """\
-Replay a recording and write a page on it: what was pressed, where and how often; per contact force
-and depth, the fitted law with its band, the estimates converging, the innovations with their test,
-the classification; across contacts a comparison, and a map where there are positions. What the
-data do not allow to conclude is said in words. One file, no network; light, dark and print.
+Replay a recording and write a page on it. Each contact has force and depth, the fitted law with
+its band, the estimates converging, the innovations with their test, and the classification. A
+comparison of the contacts follows, and a map where there are positions. The page says what the
+data do not allow to conclude. One file, no network; light, dark and print.
 """
 
 EPILOG = """\

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Learn a tissue library from labelled contacts: per tissue the distribution of (ln G, ln Gn, alpha)
-over specimens, with the estimation error of each contact taken out, and a check in which one
-specimen at a time is left out. LABELLED is
+over specimens, without the estimation error of each contact. A check leaves one specimen out at a
+time. LABELLED is
 
   TISSUE=BAG             a bag, a folder of bags or a table of samples, all of this tissue
   TISSUE/SPECIMEN=BAG    and all of this specimen

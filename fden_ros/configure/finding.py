@@ -69,8 +69,8 @@ SUBJECTS: Mapping[str, Subject] = {
     "compliance": Subject(
         "m/N",
         "displacement",
-        "press a rigid plate twice, slowly, to the largest force of your presses, and in the same "
-        "recording press tissue (or say that the recording is of a rigid plate: --rigid)",
+        "press a rigid plate twice, slowly, to the largest force of your presses, and press "
+        "tissue in the same recording (or state --rigid for a recording of a plate)",
     ),
     "place": Subject("", "site", "state --one-place where all presses are of one"),
     "indenter": Subject(

@@ -182,8 +182,8 @@ def _bias(sessions: Sequence[Session], axis: Axis, load_sd: float) -> Finding:
                 "force bias",
                 float(found.solution[0]),
                 math.hypot(math.sqrt(float(found.covariance[0, 0])), load_sd),
-                "mean force along the axis, the tool's weight taken off; measured anew before "
-                "each contact",
+                "mean force along the axis, less the tool's weight; measured anew before each "
+                "contact",
                 ((start - zero, end - zero),),
             )
     return unknown("force bias", f"no stretch of {_LEAST_AIR:g} s in the air")

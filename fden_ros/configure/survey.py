@@ -134,7 +134,7 @@ def _place(sessions: Sequence[Session], *, is_one: bool) -> list[Finding]:
         by = "there are no positions: a press is followed as of the last place and as of another"
         return [unknown("place", by)] if away and not has_positions else []
     if has_positions:
-        by = "as stated; by its positions touches are told apart"
+        by = "as stated; its positions tell touches apart"
         return [Finding("place", "one", None, by)]
     longest = math.ceil(2.0 * max(away, default=2.0))
     values = {"site.timeout": float(longest)}

@@ -347,7 +347,7 @@ def weight_findings(
     mass, mass_sd = size / GRAVITY, sd / GRAVITY
     if size < max(5.0 * sd, _TAKEN_OFF):
         limit = size + 2.0 * sd
-        evidence = f"less than {limit:.2g} N goes with the turns: the driver has taken it off"
+        evidence = f"less than {limit:.2g} N goes with the turns: the driver subtracts it"
         none = Finding(
             "tool mass",
             0.0,
@@ -356,7 +356,7 @@ def weight_findings(
             weight.seconds,
             parameters={"tool.mass": 0.0},
         )
-        nothing = "nothing: there is no weight to take off"
+        nothing = "nothing: there is no weight to subtract"
         return none, unknown("tool centre of mass", evidence, nothing)
     if mass_sd > _LARGEST_PART * mass:
         return _unknown(weight, recordings)
@@ -364,7 +364,7 @@ def weight_findings(
         turned = math.degrees(weight.turned_by)
         evidence = (
             f"the poses are not the sensor's orientation, which is turned by {turned:.1f} degrees "
-            "against them: the weight can only be taken off once the poses are the sensor's"
+            "against them: the weight can be subtracted only if the poses are the sensor's"
         )
         found = Finding("tool mass", mass, mass_sd, evidence, weight.seconds)
         motion = "record the pose of the sensor's own frame"
@@ -408,5 +408,5 @@ def _unknown(weight: Weight | None, recordings: Sequence[Streams]) -> tuple[Find
             "turn the tool in the air about another axis, across that one, by 60 degrees, too, "
             "slowly, with a second of rest"
         )
-    why = why or "the turns tell nothing"
+    why = why or "the turns show nothing"
     return unknown("tool mass", why, motion), unknown("tool centre of mass", why, motion)

@@ -64,8 +64,8 @@ def replay_problems(survey: Survey) -> list[str]:
         problems.append(f"no touch is seen for sure: {lift_off.motion}")
     if not survey.finding("indenter").claim:
         problems.append(
-            "the indenter is the default's, a flat face of 1 cm^2 on 20 mm: G and Gn are not the "
-            "tissue's before you state yours (--flat-punch AREA or --sphere R, with --thickness H)"
+            "the indenter is the default's, a flat face of 1 cm^2 on 20 mm, so G and Gn are "
+            "wrong: state yours (--flat-punch AREA or --sphere R, with --thickness H)"
         )
     return problems
 

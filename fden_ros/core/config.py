@@ -103,7 +103,7 @@ class PipelineConfig:
     classification: str = parameter(
         "classification.mode",
         "library",
-        "Tell the tissues of the library apart, or how much stiffer each site is than earlier "
+        "Classify by the tissues of the library, or by how much stiffer each site is than earlier "
         "ones around it.",
         choices=("library", "relative"),
     )

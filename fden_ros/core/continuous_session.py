@@ -172,8 +172,8 @@ class ContinuousSession:
         is_silent = self._elapsed > _SILENT_TIME and not self._has_found
         counts = {
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
-            "a period, so no stiffness: contact.mode continuous wants a probe that palpates; "
-            "sliding alone does not tell stiffness from the height of the surface": (is_silent),
+            "a period, so no stiffness. contact.mode continuous needs a probe that palpates: "
+            "sliding alone does not part stiffness from the height of the surface": (is_silent),
             self._out_of_step
             or "the force follows the displacement out of step with any tissue: is "
             "displacement.delay right?": self._lags,

@@ -97,8 +97,8 @@ def input_warnings(
     if not has_air:
         # It may be the tissue's.
         rise = (
-            "the force rises without a touch: did the data begin in contact (begin in the air; a "
-            "testing machine's table: --from-touch), or does it drift (tare, or let the sensor "
+            "the force rises without a touch. Did the data begin in contact (begin in the air; a "
+            "testing machine's table: --from-touch)? Or does it drift (tare, or let the sensor "
             "warm up)?"
         )
     counts = {

@@ -194,10 +194,7 @@ class Failure:
 
     def __str__(self) -> str:
         place = f"contact {self.contact_id} of site {self.site_id}" if self.contact_id else "air"
-        return (
-            f"the estimation failed in {place} ({self.reason}): what comes from this site is "
-            "not used"
-        )
+        return f"the estimation failed in {place} ({self.reason}): this site gives no estimate"
 
 
 Output = TissueState | Classification | ContactSummary | DynamicModulus

@@ -114,7 +114,7 @@ class Tilt:
     @property
     def words(self) -> str:
         """What it is and costs, in one sentence."""
-        cost = f"the way along the tool is taken for {math.cos(self._largest):.3f} of it in depth"
+        cost = f"the motion along the tool counts as {math.cos(self._largest):.3f} of it in depth"
         if isinstance(self._geometry, FlatPunch):
             width = 2.0 * math.sqrt(self._geometry.area / math.pi)
             depth = width * math.tan(min(self._largest, 1.5))

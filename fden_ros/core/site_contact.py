@@ -24,7 +24,7 @@ from fden_ros.core.streams.samples import NANOSECONDS, Pair
 
 #: A first contact that stays below this multiple of the release force is faint.
 _FAINT = 4.0
-#: Samples from before the detection of a touch are made up for within about this time [s].
+#: Samples from before the detection of a touch are backfilled within about this time [s].
 _CATCH_UP_TIME = 0.03
 #: A summary is given this long after the release [ns], where the last solution has been found by
 #: then, and at the latest after this [ns]: what is left of it is done at once.
@@ -34,7 +34,7 @@ _SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
 class State(enum.Enum):
     """What a contact is at."""
 
-    BACKFILL = "samples from before the detection are made up for"
+    BACKFILL = "samples from before the detection are backfilled"
     PRESSING = "each block gives a state"
     RELEASED = "the last solution is under way"
     AIR_CHECK = "the air behind it may contradict its summary"

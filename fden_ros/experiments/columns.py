@@ -134,7 +134,7 @@ class Table:
                 raise InputError(f"{self.path}, line {line}: {name} {problem}") from None
             if not math.isfinite(value):
                 raise InputError(
-                    f"{self.path}, line {line}: {name} is {cell}; leave the row out or mend it"
+                    f"{self.path}, line {line}: {name} is {cell}; leave the row out or correct it"
                 )
             values.append(value)
         return np.array(values)

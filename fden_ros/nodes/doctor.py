@@ -62,7 +62,7 @@ class Examination:
                 return f"name the one that runs: fden doctor {self.others[0]}"
             return "start it: identifier --ros-args --params-file probe.yaml -p autostart:=true"
         if self.state == "unconfigured":
-            mend = "mend what it refused, then " if self.problems else ""
+            mend = "correct what it refused, then " if self.problems else ""
             return f"{mend}{by_hand} configure"
         if self.state == "inactive":
             return f"{by_hand} activate"

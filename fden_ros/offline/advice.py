@@ -120,7 +120,7 @@ def deeper(strain: float, gn: float, geometry: Geometry) -> str:
     """Return how far to press for Gn; a strain that was reached without a bend is too small."""
     compression = geometry.compression(wanted_strain(strain, gn))
     if compression > LARGEST_COMPRESSION:
-        return "it hardly stiffens this far, so Gn is not seen"
+        return "Gn is not observable at this depth, as it hardly stiffens"
     return f"press to {written(1e3 * geometry.length * compression, 2)} mm for Gn"
 
 
@@ -152,12 +152,12 @@ def _is_linear_part_hidden(estimate: Estimate, budget: Budget) -> bool:
 def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
     if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
-        return "the touch was not seen, in the recording or above noise and drift"
+        return "the touch was not observed, in the recording or above noise and drift"
     if estimate is None or not _is_open(summary):
         return ""
     if budget is not None and _is_linear_part_hidden(estimate, budget):
         noise = quantity(budget.stress_noise / config.geometry.stress_per_force, "N")
-        return f"{noise} of noise hide the linear part, so that G is not seen"
+        return f"{noise} of noise hide the linear part, so G is not observable"
     poor = _poor(estimate, config.estimator)
     if not estimate.determines(1):
         known = "G is known, " if estimate.knows(0) else ""
@@ -167,7 +167,7 @@ def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
             f"{_sources(budget, poor[0] if poor else 1)}"
         )
     if not poor:
-        return "the press is not explained yet"
+        return "not converged: the newest data fail the innovation test"
     why = ", ".join(f"{_NAMES[k]} is known to {_percent(estimate, k)}" for k in poor) + " only"
     return why + _sources(budget, poor[0])
 

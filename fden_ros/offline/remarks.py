@@ -16,8 +16,8 @@ from fden_ros.written import written
 #: What a flag stands for; ALPHA_CONTRADICTED has its numbers.
 _BY_FLAG = {
     Flag.ORIGIN_UNCERTAIN: (
-        "The touch of this tissue was not seen: the force was there when the data began, it rose "
-        "unseen in noise, or the probe was dragged here. There is no strain origin, and no "
+        "The touch of this tissue was not observed: the force was there when the data began, it "
+        "rose unseen in noise, or the probe was dragged here. There is no strain origin, and no "
         "estimate for this site."
     ),
     Flag.GAP: "Samples are missing within this site's memory.",

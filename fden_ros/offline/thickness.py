@@ -44,8 +44,8 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
     ratio = float(brentq(lambda u: _raised(layer, u * layer.thickness) - _GOOD, 1e-9, 1.0))
     shown = 2.0 * sphere.radius
     words = (
-        "geometry.thickness is not stated, so the tissue is taken as thick: on a rigid base "
-        f"right to {100.0 * (_GOOD - 1.0):.0f} % up to an indentation of {ratio:.2g} h^2/R, "
+        "geometry.thickness is not stated, so the tissue counts as thick. On a rigid base this "
+        f"is right to {100.0 * (_GOOD - 1.0):.0f} % up to an indentation of {ratio:.2g} h^2/R, "
         f"{quantity(ratio * shown**2 / sphere.radius, 'm')} where it is h = "
         f"{quantity(shown, 'm')} thick"
     )
@@ -65,7 +65,7 @@ def _of_face(punch: FlatPunch) -> str:
 
     return (
         "the face is wider than the tissue is thick and geometry.hayes is false, so G is that of "
-        "a column with free sides: of a layer that goes on around the face, at "
+        "a column with free sides. Of a layer that continues around the face, at "
         + _around(punch.thickness, raised)
         + "; then set geometry.hayes"
     )

@@ -87,8 +87,8 @@ class SurfaceInput:
     message: str = parameter(
         "surface.message",
         "none",
-        "Type of the topic surface, whose place is taken off the displacement; a bag says its "
-        "own. none: it is not measured.",
+        "Type of the topic surface, whose place is subtracted from the displacement; a bag has "
+        "its own. none: it is not measured.",
         choices=("none", "joint_state", "pose", "transform", "point"),
     )
     axis: Vector = parameter(

@@ -68,7 +68,7 @@ def arm_values(
         is_turning = axis is None or table.is_in_tool
         values["force.axis"] = [0.0 - part for part in (_TOOL if is_turning else axis or _DOWN)]
     shown = ", ".join(f"{name} {str(value).lower()}" for name, value in values.items())
-    return values, (f"{shown}, {why} (else state them)",)
+    return values, (f"{shown}, {why} (or state them)",)
 
 
 def _axis_of(table: TableReader) -> tuple[Vector | None, str]:

@@ -66,7 +66,7 @@ class FieldPath:
                 continue
             if not hasattr(message, name):
                 fields = ", ".join(field_names(message)) or "no fields"
-                raise InputError(f"there is no {name} on the way to {self.text}: it has {fields}")
+                raise InputError(f"there is no {name} in the path {self.text}: there is {fields}")
             message = getattr(message, name)
         return message
 

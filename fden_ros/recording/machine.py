@@ -84,7 +84,7 @@ def machine_values(
     }
     why = "by --from-touch"
     if from_touch is None:
-        why = "because the force rises from zero with the first motion (else --no-from-touch)"
+        why = "because the force rises from zero with the first motion (or --no-from-touch)"
     return {**values, **touched}, (*lines, f"{_shown(touched)}, {why}")
 
 

@@ -376,7 +376,7 @@ class BagReader:
         if not left:
             return path
         names = ", ".join(beside.name for beside in left)
-        self._warn(f"{names} was left beside {path.name} (interrupted recording): used too")
+        self._warn(f"{names} was left next to {path.name} (interrupted recording): used too")
         copies = [Path(shutil.copy(one, self._place())) for one in (path, *left)]
         try:
             with contextlib.closing(sqlite3.connect(copies[0])) as database:

@@ -364,7 +364,7 @@ class TableSource:
         assert selection.columns is not None
         if parameters.tool.mass:
             raise InputError(
-                "tool.mass takes off the weight by the tool's orientation, which a table does "
+                "tool.mass compensates the weight by the tool's orientation, which a table does "
                 "not hold: set tool.mass to 0, or replay a bag with poses"
             )
         if parameters.frames.base:
@@ -379,7 +379,7 @@ class TableSource:
                 "of --columns, or set surface.message to none"
                 if self._columns.surface is None
                 else "the fourth of --columns is the surface's place: set surface.message to "
-                "joint_state, so that it is taken off the displacement"
+                "joint_state, so that it is subtracted from the displacement"
             )
         self._table = TableReader(path, selection.columns, selection.where)
         find = arm_values if any(self._table.has_vectors) else machine_values

@@ -143,8 +143,8 @@ def stated_columns(path: str | Path) -> Columns:
         raise InputError(
             f"{path} is a table whose headings do not say, with a unit, which column is the "
             f"{' and the '.join(missing)}: give the columns of time, force and displacement, "
-            "such as --columns time_s,force_N,depth_mm*1e-3; "
-            f"it has {', '.join(names) or 'no headings'}"
+            "such as --columns time_s,force_N,depth_mm*1e-3. "
+            f"It has {', '.join(names) or 'no headings'}"
         )
     chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
     if several:

@@ -410,7 +410,7 @@ def _are_halved(path: Path, rows: Sequence[Sequence[str]], count: int) -> bool:
     if all(len(row) == 2 * count for row in rows):
         return True
     raise InputError(
-        f"{path}: decimal commas cannot be told from the commas between its columns: write "
+        f"{path}: decimal commas look like the commas between its columns: write "
         "semicolons between them, or quotation marks about the numbers"
     )
 

@@ -85,8 +85,8 @@ class ContactConfig:
     site_timeout: float = parameter(
         "site.timeout",
         2.0,
-        "Without positions, a touch after a longer time in the air is a new site, and is followed "
-        "as the place of the last one too, until the data say which.",
+        "Without positions, a touch after a longer time in the air is a new site. It is also "
+        "followed as the place of the last one, until the data decide.",
         "s",
         0.0,
         100000.0,
@@ -94,7 +94,7 @@ class ContactConfig:
     series_compliance: float = parameter(
         "displacement.compliance",
         0.0,
-        "Compliance of tool and robot in series with the tissue; taken off the displacement.",
+        "Compliance of tool and robot in series with the tissue; the displacement is compensated.",
         "m/N",
         0.0,
         1.0,

@@ -170,7 +170,7 @@ class EstimatorConfig:
     observation: Observation = parameter(
         "estimator.observation",
         Observation.STRESS,
-        "What is observed: the stress, or the fractional stress, the paper's way, which does not "
+        "What is observed: the stress, or the fractional stress as in the paper, which does not "
         "learn alpha.",
     )
     learns_fractional_order: bool = parameter(

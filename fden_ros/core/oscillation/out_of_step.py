@@ -43,9 +43,9 @@ def sentence(value: complex, angular_frequency: float) -> str:
     phase = math.atan2(value.imag, value.real)
     return (
         f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
-        f"{angular_frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes: one "
-        f"of the two is stamped late (displacement.delay {phase / angular_frequency:.3f} s if all "
-        "of it is lag), so its stiffness and alpha are not known"
+        f"{angular_frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes, so "
+        f"stiffness and alpha are not known. One of the two is stamped late (displacement.delay "
+        f"{phase / angular_frequency:.3f} s if all of it is lag)"
     )
 
 

@@ -91,8 +91,8 @@ class ToolWeight:
     mass: float = parameter(
         "tool.mass",
         0.0,
-        "Mass that the force sensor carries, where the tool turns: its weight is taken off the "
-        "force, by the orientation of the displacement's pose or transform.",
+        "Mass that the force sensor carries, where the tool turns. Its weight is subtracted from "
+        "the force, by the orientation of the displacement's pose or transform.",
         "kg",
         0.0,
         1000.0,
@@ -108,7 +108,7 @@ class ToolWeight:
         "tool.gravity",
         (0.0, 0.0, -9.80665),
         "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
-        "else the other way round.",
+        "otherwise reverse it.",
         "m/s^2",
     )
     axis: Vector = (0.0, 0.0, 1.0)  #: unit vector in the sensor's frame
