@@ -82,11 +82,15 @@ def mismatch_log_odds(
     start = solution.maximum.state.copy()
     start[posterior.model.kernel] = 0.0
     first = solution.best_scales._replace(kernel=_least_kernel(posterior))
-    straight = _straight(made(PressModel), start)
+    straight = _straight(_held(made(PressModel), start))
     straight.limit = posterior.limit
     law = yield from _solution(straight, points, start, first)
     if law is None:
         return -math.inf
+    # Or with the errors of its kernel: on beef no law without them explains a hold.
+    bent = _held(made(PressModel), solution.maximum.state)
+    bent.limit = posterior.limit
+    whole = yield from _solution(bent, points, solution.maximum.state, solution.best_scales)
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
     errors = law.maximum.errors
     # The stress after the time seen is about the same.
@@ -96,7 +100,7 @@ def mismatch_log_odds(
     at[LOG_G] += math.log(max(now, 1e-9))
     evidences: dict[int, float] = {}
     for rate in _coarse_to_fine(wanted.tolist(), evidences):
-        rival = _straight(made(_Maxwell), at)
+        rival = _straight(_held(made(_Maxwell), at))
         rival.limit = posterior.limit
         assert isinstance(rival.model, _Maxwell)
         rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
@@ -113,7 +117,10 @@ def mismatch_log_odds(
         return None if posterior.limit.is_reached else -math.inf
     # A rate that was not tried has none: it can only be more.
     gain = best + math.log(sum(math.exp(e - best) for e in evidences.values()) / wanted.size)
-    gain -= law.log_evidence
+    of_law = law.log_evidence
+    if whole is not None:
+        of_law = max(of_law, evidence_under(bent, points, whole, errors, bent.grid))
+    gain -= of_law
     if gain < 0.0 and posterior.limit.is_reached:
         return None
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
@@ -130,8 +137,8 @@ def _coarse_to_fine(rates: list[int], evidences: Mapping[int, float]) -> Iterato
     yield from (rate for rate in rates if abs(rate - likeliest) == 1)
 
 
-def _straight(posterior: Posterior, state: Array) -> Posterior:
-    """Return a posterior whose kernel has no error of its own, on the rig of a state.
+def _held(posterior: Posterior, state: Array) -> Posterior:
+    """Return a posterior on the rig of a state.
 
     With a rig of its own a rival could stand for any relaxation: by a delay of 38 of the stated
     standard deviations it explained one of the law itself.
@@ -144,6 +151,11 @@ def _straight(posterior: Posterior, state: Array) -> Posterior:
     for k, (mean, precision) in known.items():
         belief.precision[k], belief.precision[:, k] = 0.0, 0.0
         belief.precision[k, k], belief.mean[k] = precision, mean
+    return posterior
+
+
+def _straight(posterior: Posterior) -> Posterior:
+    """Return a posterior whose kernel has no error of its own."""
     least = _least_kernel(posterior)
     posterior.grid = [w for w in posterior.grid if w.scales.kernel == least]
     return posterior
