@@ -34,8 +34,6 @@ _FIRST_ORIGIN_SD = 3e-3
 _REACH = 6.0
 #: Added to the variances where no contact is detected [1].
 _UNTOLD = 100.0
-#: Speed of a release that is not looked at [m/s].
-_AWAY = 1.0
 
 
 class Expected(NamedTuple):

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from fden_ros.recording.units import UNITS, factor_of, spelled
+from fden_ros.recording.units import UNITS, factor_of
 
 #: Words of headings.
 WORDS = {
@@ -233,9 +233,3 @@ def rivals(
             or (heading.rank == rank and is_weak and not heading.names_by_letter(quantity))
         )
     ]
-
-
-def unit_of(heading: Heading) -> str:
-    """Return what stands as the unit of a heading, for a line that says what was chosen."""
-    brackets = _BRACKETED.findall(heading.text)
-    return spelled(heading.unit or (brackets[-1] if brackets else ""))

@@ -81,25 +81,19 @@ class Span:
 
 
 @dataclass
-class McapFile:
-    """What one MCAP file holds; the messages themselves are read on demand.
+class BagFile:
+    """What one file of a bag holds; the messages themselves are read on demand.
 
     Attributes
     ----------
     path
         The file.
     schemas, channels
-        Records by id.
+        Records by id, as MCAP has them.
     counts
         Messages by channel id.
     start_ns, end_ns
-        Log times of the first and the last message (ns); None without messages.
-    spans
-        Where the messages lie, in the order of the file.
-    cut_off_at
-        Offset (bytes) from which on the file is incomplete; None when it is whole.
-    kept
-        The span that was read last, and its bytes.
+        Times of recording of the first and the last message (ns); None without messages.
     """
 
     path: Path
@@ -108,6 +102,22 @@ class McapFile:
     counts: Counter[int] = field(default_factory=Counter)
     start_ns: int | None = None
     end_ns: int | None = None
+
+
+@dataclass
+class McapFile(BagFile):
+    """One MCAP file.
+
+    Attributes
+    ----------
+    spans
+        Where the messages lie, in the order of the file.
+    cut_off_at
+        Offset (bytes) from which on the file is incomplete; None when it is whole.
+    kept
+        The span that was read last, and its bytes.
+    """
+
     spans: list[Span] = field(default_factory=list)
     cut_off_at: int | None = None
     kept: tuple[Span, bytes] | None = field(default=None, repr=False)

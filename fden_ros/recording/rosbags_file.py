@@ -10,7 +10,6 @@ header has no ``seq``, so that what follows need not know which kind a bag is.
 from __future__ import annotations
 
 import shlex
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -30,7 +29,7 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fden_ros.errors import InputError
-from fden_ros.recording.mcap_file import Row
+from fden_ros.recording.mcap_file import BagFile, Row
 from fden_ros.recording.qos import LATCHED, Qos, dump_profiles
 
 _HEADER = "std_msgs/msg/Header"
@@ -49,27 +48,9 @@ class DamageError(Exception):
 
 
 @dataclass
-class RosbagsFile:
-    """What one file holds; the messages themselves are read on demand.
+class RosbagsFile(BagFile):
+    """One file that the package reads: how it is opened, and its messages turned into CDR."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    schemas, channels
-        As records of MCAP, by id.
-    counts
-        Messages by channel id.
-    start_ns, end_ns
-        Times of recording of the first and the last message (ns); None without messages.
-    """
-
-    path: Path
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    counts: Counter[int] = field(default_factory=Counter)
-    start_ns: int | None = None
-    end_ns: int | None = None
     open: Callable[[], AbstractContextManager[Any]] = field(kw_only=True)
     convert: _Convert = field(kw_only=True)
 

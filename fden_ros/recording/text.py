@@ -72,8 +72,6 @@ class Layout:
         Of a row of units below the headings; empty where there is none.
     before : int
         Number of the last line before the rows, from 1; 0: none.
-    heading_line : int
-        Number of the line of the headings; 0: none.
     sample : tuple of tuple of str
         The first rows.
     """
@@ -85,7 +83,6 @@ class Layout:
     headings: tuple[str, ...]
     units: tuple[str, ...]
     before: int
-    heading_line: int
     sample: tuple[tuple[str, ...], ...]
     is_halved: bool = False  #: whether decimal commas have cut every number into two cells
 
@@ -190,7 +187,6 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
         headings,
         units,
         before,
-        lines[heading][0] if heading is not None else 0,
         tuple(tuple(_mended(row)) if is_halved else row for row in rows),
         is_halved,
     )

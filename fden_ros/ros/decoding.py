@@ -159,29 +159,32 @@ def _wrench_handler(inputs: Inputs) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
     turns, take_vector = inputs.turns_force, inputs.take_force_vector
     offset = _VECTOR.size if inputs.takes_torque else 0
-    layout: _Layout | None = None
 
-    def handle(data: bytes) -> None:
-        nonlocal layout
-        stamp = layout.stamp(data) if layout is not None else None
-        if layout is None or stamp is None:
-            frame, stamp, end = _head(data)
-            start = _aligned(end, 8)
-            if start + 48 > len(data):
-                raise UnusualError
-            layout = _Layout(data, frame, start)
-        vector = unpack(data, layout.start + offset)
+    def read(data: bytes, frame: str, stamp: int, start: int) -> None:
+        vector = unpack(data, start + offset)
         if turns:
-            take_vector(layout.frame, stamp, vector)
+            take_vector(frame, stamp, vector)
         else:
-            take(layout.frame, stamp, along(*vector))
+            take(frame, stamp, along(*vector))
 
-    return handle
+    return _handler(read, 2 * _VECTOR.size)
 
 
 def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
     take, unpack = places.take_position, _VECTOR.unpack_from
     has_turn = places.takes_orientation and size > _VECTOR.size
+
+    def read(data: bytes, frame: str, stamp: int, start: int) -> None:
+        turn = _QUATERNION.unpack_from(data, start + _VECTOR.size) if has_turn else None
+        take(frame, stamp, unpack(data, start), turn)
+
+    return _handler(read, size, has_child=has_child)
+
+
+def _handler(
+    read: Callable[[bytes, str, int, int], None], size: int, *, has_child: bool = False
+) -> Handler:
+    """Return what finds `size` bytes of numbers behind a header, and perhaps a child's name."""
     layout: _Layout | None = None
 
     def handle(data: bytes) -> None:
@@ -189,15 +192,11 @@ def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
         stamp = layout.stamp(data) if layout is not None else None
         if layout is None or stamp is None:
             frame, stamp, end = _head(data)
-            if has_child:
-                end = _skip_text(data, end)
-            start = _aligned(end, 8)
+            start = _aligned(_skip_text(data, end) if has_child else end, 8)
             if start + size > len(data):
                 raise UnusualError
             layout = _Layout(data, frame, start)
-        start = layout.start
-        turn = _QUATERNION.unpack_from(data, start + _VECTOR.size) if has_turn else None
-        take(layout.frame, stamp, unpack(data, start), turn)
+        read(data, layout.frame, stamp, layout.start)
 
     return handle
 
