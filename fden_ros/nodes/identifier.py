@@ -18,7 +18,12 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.publisher import LifecyclePublisher
@@ -30,7 +35,6 @@ from std_srvs.srv import Trigger
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Taken
-from fden_ros.nodes.descriptors import descriptor_of
 from fden_ros.nodes.diagnostics import Diagnostics
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
@@ -76,13 +80,13 @@ class Identifier(LifecycleNode):
     def _declare_parameters(self) -> None:
         self._check_overrides()
         for parameter in PARAMETERS:
-            self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
+            constraints = parameter.constraint, "changes only while unconfigured"
+            descriptor = _descriptor(parameter, *constraints)
+            self.declare_parameter(parameter.name, parameter.default, descriptor)
         for parameter in NODE_PARAMETERS:
             # rclpy declares those of every node itself.
             if not self.has_parameter(parameter.name):
-                self.declare_parameter(
-                    parameter.name, parameter.default, _node_descriptor(parameter)
-                )
+                self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
 
     def _check_overrides(self) -> None:
         """Refuse a parameter that is unknown or not allowed; [0, 0, -1] is a list of numbers."""
@@ -279,16 +283,21 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (bool, int, float, str)) else list(value)
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = _node_descriptor(parameter)
-    descriptor.additional_constraints = "; ".join(
-        filter(None, (parameter.constraint, "changes only while unconfigured"))
+def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
+    """Return a parameter's description and range, as ROS tells them."""
+    descriptor = ParameterDescriptor(
+        description=f"{parameter.description} [{parameter.unit}]",
+        additional_constraints="; ".join(filter(None, more)),
+        read_only=parameter.name == "autostart",
     )
+    low, high = parameter.minimum, parameter.maximum
+    if isinstance(parameter.default, float):
+        least = 0.0 if parameter.may_be_zero else low
+        descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=high)]
+    elif isinstance(parameter.default, int) and not isinstance(parameter.default, bool):
+        own = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+        descriptor.integer_range = [own]
     return descriptor
-
-
-def _node_descriptor(parameter: Parameter) -> ParameterDescriptor:
-    return descriptor_of(parameter, read_only=parameter.name == "autostart")
 
 
 def main(arguments: list[str] | None = None) -> int:
