@@ -27,7 +27,6 @@ from benchmark.other_laws import (
 )
 from fden_ros.ros.inputs import stamp_ns
 from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion, Tissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
 from simulation.contact import Stiffening, contacts_of_moves
@@ -194,21 +193,6 @@ def test_an_inclusion_adds_its_own_law_from_where_it_is_met():
     for strain in np.linspace(0.0, 0.25, 400):
         expected = plain.press(strain) + body.press(max(strain - 0.1, 0.0))
         assert hard.press(strain) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-def settled(kind: Command, value: float, seconds: float = 3.0) -> Rig:
-    rig = Rig(RigConfig((Column(LIVER),)))
-    for n in range(int(seconds / STEP)):
-        if n % 20 == 0:
-            rig.command(kind, value)
-        rig.step()
-    return rig
-
-
-def test_position_velocity_and_force_commands_are_followed():
-    assert settled(Command.POSITION, 0.004).depth == pytest.approx(0.004, abs=1e-5)
-    assert settled(Command.VELOCITY, 0.002).velocity == pytest.approx(0.002, rel=1e-6)
-    assert settled(Command.FORCE, 0.1, 20.0).force == pytest.approx(0.1, rel=0.03)
 
 
 def test_the_node_publishes_as_a_driver_does_and_takes_commands():
