@@ -200,11 +200,6 @@ def test_what_is_not_possible_says_what_limits_it():
     assert not loud.is_possible and "noise" in loud.cause
 
 
-def test_a_record_of_few_samples_has_the_counts_of_all():
-    points = record(PRESS, CONFIG.geometry, SENSORS, 0.0)
-    assert points.counts.sum() == pytest.approx(PRESS.seconds * SENSORS.rate, rel=0.05)
-
-
 def test_an_order_that_is_given_is_planned_with():
     known = Component(1.0, LIVER.mean, np.diag([0.09, 0.04, 0.0]))
     given = config_of(alpha__learn=False)
@@ -226,13 +221,6 @@ def test_draws_have_the_moments_of_all_modes():
     draws = known.draws(4000)
     np.testing.assert_allclose(draws.mean(axis=0), known.mean, atol=0.01)
     np.testing.assert_allclose(np.cov(draws.T), known.covariance, atol=0.01)
-
-
-def test_what_a_press_has_told_narrows_the_next_plan():
-    narrow = Component(1.0, LIVER.mean, 0.05 * LIVER.covariance)
-    first = plan(CONFIG, SENSORS, TARGET)
-    second = plan(CONFIG, SENSORS, TARGET, tissue=TissueBelief((narrow,)))
-    assert np.all(second.deviations < first.deviations)
 
 
 @pytest.fixture
