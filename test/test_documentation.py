@@ -237,27 +237,6 @@ def test_a_bag_that_leaves_nothing_open_is_ten_times_sharper_as_is_said():
         assert np.all(arm.deviations[:2] > 10 * exact.deviations[:2])
 
 
-def test_depth_in_mm_shows_as_is_said(first_press):
-    heard = identified({}, "time_s,force_N,depth_mm*1", first_press)
-    assert not any(heard.converged)
-    assert all(summary.flags & Flag.IMPLAUSIBLE for summary in heard.summaries)
-    warning = heard.result.warnings[0]
-    assert "a strain of 295" in warning and "factor 0.001" in warning
-
-
-def test_a_geometry_that_is_not_stated_shows_as_is_said(first_press):
-    heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
-    assert not any(heard.converged)
-    assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
-    assert heard.stiffness[:, 0] == pytest.approx([1352.0, 1826.0], rel=0.01)
-    # Where nothing is left open, the prior counts nothing beside the data.
-    wrong, right = (
-        identified({**own, **EXACT}, path=first_press).stiffness[:, 0]
-        for own in ({"geometry.area": 1e-4}, {})
-    )
-    assert wrong / right == pytest.approx(3.14, rel=0.01)
-
-
 def test_a_shallow_press_shows_as_is_said(tmp_path):
     heard = identified({}, path=rows_between(tmp_path / "press.csv", -1.0, 2.05))
     (estimate,) = heard.estimates
@@ -319,11 +298,6 @@ def test_a_delay_gives_no_wrong_number_under_a_good_status(delay, first_press):
         error = np.abs(estimate.mean - [*TRUTH[site_id - 1], 0.131])
         for index in range(3):
             assert not estimate.knows(index) or error[index] < 5.0 * estimate.deviations[index]
-
-
-def test_a_recording_that_begins_in_contact_shows_as_is_said(tmp_path):
-    heard = identified({}, path=rows_between(tmp_path / "press.csv", 1.83, 99.0))
-    assert heard.converged == [False, True]
 
 
 # What a rig leaves open
