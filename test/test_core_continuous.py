@@ -293,7 +293,7 @@ def test_the_complex_modulus_is_the_stiffness_by_the_geometry():
     assert math.hypot(last.storage, last.loss) == pytest.approx(truth, abs=4.0 * last.sd)
     assert last.fractional_order == pytest.approx(record.order, abs=4.0 * last.fractional_order_sd)
     # In pascals only where the probe is stated and its modulus needs no depth.
-    short = palpated(2, is_rigid=True, duration=10.0)
+    short = palpated(2, is_rigid=True, duration=20.0)
     for other in ({}, {"geometry.kind": "sphere", "geometry.radius": 0.003}):
         assert not of(DynamicModulus, identify(short, **other)[1])
 
