@@ -433,13 +433,8 @@ def test_the_commands_of_a_page_run_beside_the_files_that_they_name(
     bag = tmp_path / "presses"
     write_recording(simulate(ramp_scenario(strain_rate=0.3, hold_s=0.3, rate_hz=100.0)), bag)
     (mcap,) = bag.glob("*.mcap")
-    files = {
-        "press.mcap": mcap,
-        "palpation.mcap": mcap,
-        "palpation": bag,
-        "press.csv": first_press,
-    }
-    files |= {"archive": bag}
+    files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag}
+    files |= {"press.csv": first_press, "archive": bag}
     command = re.compile(r"(?m)^ {4}(?:scripts/ros_env )?fden ((?:configure|re|batch).*)$")
     lines = [line for line in command.findall(text_of(page)) if not re.search("/plc/|://", line)]
     assert lines
