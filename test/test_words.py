@@ -217,8 +217,10 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force():
     assert open_.sd == pytest.approx(seen.sd)
     moved = ESTIMATE._replace(strain_origin=0.1)
     assert apparent_stiffness_of(moved, geometry, 0.4, 0.0, 0.1).value == pytest.approx(seen.value)
-    # Below 1/Gn the slope is that of G.
-    assert apparent_stiffness_of(ESTIMATE, geometry, 0.1, 0.0, 0.1) is not None
+    # Below 1/Gn the slope is that of G, and known as well.
+    of_g = ESTIMATE._replace(covariance=np.diag([0.01, 0.0, 0.0]))
+    below = apparent_stiffness_of(of_g, geometry, 0.1, 0.0, 0.1)
+    assert below is not None and below.sd == pytest.approx(0.1 * below.value)
     assert apparent_stiffness_of(hidden, geometry, 0.1, 0.0, 0.1) is None
 
 
