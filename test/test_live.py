@@ -445,8 +445,8 @@ def test_what_is_late_has_no_converged_parameters(press):
 def test_an_estimate_that_was_held_up_on_its_way_is_refused(press):
     live, now = press.heard_until(3.0)
     later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS]
-    live.add(later[0], later[0].stamp_ns / NANOSECONDS + 0.5)
-    assert live.refusal(later[0].stamp_ns / NANOSECONDS + 0.5) is Refusal.LATE
+    live.add(later[0], later[0].stamp_ns / NANOSECONDS + 1.5 * DEADLINE)
+    assert live.refusal(later[0].stamp_ns / NANOSECONDS + 1.5 * DEADLINE) is Refusal.LATE
     live.add(later[1], later[1].stamp_ns / NANOSECONDS)
     assert live.refusal(later[1].stamp_ns / NANOSECONDS) is None
 

@@ -159,8 +159,9 @@ def test_a_touch_shows_what_it_shows_the_detector():
     assert expected_sd == pytest.approx(sd, abs=0.35)
 
 
-def test_a_press_is_as_short_as_five_percent_allow():
-    search = Search(CONFIG, SENSORS, TARGET)
+@pytest.mark.parametrize(("noise", "of_alpha"), [(0.005, math.inf), (0.05, 0.01)])
+def test_a_press_is_as_short_as_five_percent_allow(noise, of_alpha):
+    search = Search(CONFIG, replace(SENSORS, force_sd=noise), Target((0.1, 0.1, of_alpha)))
     chosen = search.plan().motion
     scores = search.scores
     best = min(scores.values())
