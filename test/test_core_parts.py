@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import pickle
 from functools import partial
 
 import pytest
@@ -17,11 +18,9 @@ from simulation.scenario import ramp_scenario
 from simulation.simulate import simulate
 
 
-def counted(costs: tuple[int, ...], fails: bool = False) -> Parts[int]:
+def counted(costs: tuple[int, ...]) -> Parts[int]:
     """A computation of parts with costs, which returns their sum."""
     yield from costs
-    if fails:
-        raise FloatingPointError("there is none")
     return sum(costs)
 
 
@@ -31,6 +30,14 @@ def test_what_a_part_costs_more_than_the_budget_is_taken_off_the_next():
     assert not computation.advance(5)  # which is all of this
     assert not computation.advance(15)  # the other two
     assert computation.advance(6) and computation.result() == 40
+
+
+def test_a_computation_that_is_copied_goes_on_from_where_it_was():
+    computation = Advanced(partial(counted, (10, 10, 10)))
+    computation.advance(15)
+    copy = pickle.loads(pickle.dumps(computation))
+    assert [copy.advance(5), copy.advance(10), copy.advance(1)] == [False, False, True]
+    assert copy.result() == 30
 
 
 RECORDING = simulate(ramp_scenario(strain_rate=0.2, hold_s=1.0, rate_hz=500.0, seed=1))
