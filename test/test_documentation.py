@@ -449,10 +449,8 @@ def test_the_commands_of_a_page_run_beside_the_files_that_they_name(
         assert main(shlex.split(line, comments=True)) == 0, line
 
 
-def test_the_commands_of_the_page_on_plans_run_one_after_the_other(
-    first_press, tmp_path, monkeypatch
-):
-    for name, file in {"press.csv": first_press, "config": ROOT / "config"}.items():
+def test_the_commands_of_the_page_on_plans_run_one_after_the_other(tmp_path, monkeypatch):
+    for name, file in {"press.csv": PRESS, "config": ROOT / "config"}.items():
         (tmp_path / name).symlink_to(file)
     monkeypatch.chdir(tmp_path)
     lines = re.findall(r"(?m)^ {4}fden ((?:configure|plan|re).*)$", text_of("docs/plan.md"))
