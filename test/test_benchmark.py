@@ -10,6 +10,8 @@ import json
 import math
 import runpy
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +64,18 @@ def one_process(monkeypatch):
 
 
 # The command
+
+
+def test_without_a_checkout_one_line_says_that_it_needs_one(tmp_path):
+    code = (
+        "import fden_ros; fden_ros.__file__ = '/nowhere/fden_ros/__init__.py'; "
+        "from fden_ros.cli import main; raise SystemExit(main(['benchmark', 'real', '--quick']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "needs a checkout" in done.stderr and done.stderr.count("\n") == 1
 
 
 # Goals and tables

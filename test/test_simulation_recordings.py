@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from pipeline_helpers import refusal
 
 from fden_ros.parameters import check
@@ -77,6 +78,15 @@ def test_every_disturbance_is_a_key_of_a_scenario_file_that_comes_along():
     for field in fields(Disturbances):
         assert f"  {field.name}:" in text
     assert load_scenario("robot_arm").disturbances.moves_tissue
+
+
+def test_scenario_is_found_in_a_sourced_workspace(tmp_path, monkeypatch):
+    folder = tmp_path / "share" / "fden_ros" / "bags"
+    folder.mkdir(parents=True)
+    (folder / "my_own.yaml").write_text(yaml.safe_dump(GOOD))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert "my_own" in scenario_names()
+    assert load_scenario("my_own").name == "trial"
 
 
 @pytest.mark.parametrize(
