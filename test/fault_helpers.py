@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from pipeline_helpers import Item, items_of, parameters_of, summaries_of
+from pipeline_helpers import Item, begun, items_of, parameters_of, summaries_of
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.estimation.estimate import Estimate
@@ -30,7 +30,6 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams.samples import NANOSECONDS
-from fden_ros.parameters import check, pipeline_config
 from simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
 from simulation.simulate import Recording, simulate
 from simulation.trajectory import Palpation, RampHold
@@ -168,21 +167,16 @@ def outcome_of(items: Iterable[Step], parameters: dict[str, object], shared: int
     if shared:
         pipeline, outputs = pickle.loads(_begun(steps[:shared], repr(parameters)))
     else:
-        pipeline, outputs = _new(parameters)
+        pipeline, outputs = begun(parameters)
     _feed(pipeline, steps[shared:])
     pipeline.finish()
     return Outcome(pipeline, tuple(outputs))
 
 
-def _new(parameters: dict[str, object]) -> tuple[Pipeline, list[Output]]:
-    outputs: list[Output] = []
-    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
-
-
 @functools.lru_cache(maxsize=4)
 def _begun(steps: tuple[Step, ...], parameters: str) -> bytes:
     """Return a pipeline that has been fed, and its outputs."""
-    pipeline, outputs = _new(ast.literal_eval(parameters))
+    pipeline, outputs = begun(ast.literal_eval(parameters))
     _feed(pipeline, steps)
     return pickle.dumps((pipeline, outputs))
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from benchmark.score import Judged, judged
-from benchmark.trial import truth_of
+from benchmark.trial import fed, truth_of
+from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
@@ -73,13 +74,29 @@ def feed(pipeline: Pipeline, items: Iterable[Item]) -> None:
             pipeline.add_displacement(stamp_ns, value, position)
 
 
+def begun(parameters: Mapping[str, object]) -> tuple[Pipeline, list[Output]]:
+    """Return a new pipeline, and the list that its outputs go into."""
+    outputs: list[Output] = []
+    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
+
+
 def identified(
     items: Iterable[Item], parameters: Mapping[str, object]
 ) -> tuple[Pipeline, list[Output]]:
     """Return the pipeline after all samples, and everything it put out."""
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    pipeline, outputs = begun(parameters)
     feed(pipeline, items)
+    pipeline.finish()
+    return pipeline, outputs
+
+
+def of_columns(
+    parameters: Mapping[str, object], times: Array, forces: Array, depths: Array
+) -> tuple[Pipeline, list[Output]]:
+    """Return the same of samples of one clock: [s], [N] and [m]."""
+    pipeline, outputs = begun(parameters)
+    for _ in fed(pipeline, times, forces, depths):
+        pass
     pipeline.finish()
     return pipeline, outputs
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import math
 import os
 import signal
@@ -14,19 +13,18 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from command_helpers import answer, fden
 from live_helpers import LIMIT
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from unknown_rig_bags import RigBag
 
-from fden_ros.cli import main
 from fden_ros.configure.streams import Streams
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay, result_object
@@ -34,7 +32,7 @@ from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.definitions import message_class
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
-from fden_ros.recording.table import Column, Columns, TableReader
+from fden_ros.recording.table import Columns
 from fden_ros.recording.writer import BagWriter
 from simulation.bag import PARAMETER_FILE, write_recording
 from simulation.scenario import load_scenario, ramp_scenario
@@ -85,15 +83,9 @@ def foreign_bag(recording: Recording, tmp_path_factory: pytest.TempPathFactory) 
     return foreign(recording).write(tmp_path_factory.mktemp("foreign") / "bag")
 
 
-def fden(*arguments: str | Path) -> int:
-    return main([str(argument) for argument in arguments])
-
-
-def replayed(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
-    code = fden("replay", *arguments, "--json")
-    result = json.loads(capsys.readouterr().out)
-    assert code == (0 if any(contact["converged"] for contact in result["contacts"]) else 3)
-    return dict(result)
+def replayed(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
+    result: dict[str, Any] = answer(capsys, "replay", *words)
+    return result
 
 
 def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | Path) -> str:
@@ -224,24 +216,6 @@ def test_several_sensible_topics_are_listed_in_one_line(
     assert "/left/wrench" in line and "/right/wrench" in line and "--force-topic" in line
     line = error_line(capsys, 1, "replay", bag, "--force-topic", "/pose")
     assert "--force-field" in line
-
-
-# Tables
-
-
-def test_rows_and_bad_cells_of_a_table_are_told_apart(tmp_path: Path) -> None:
-    path = tmp_path / "tests.csv"
-    path.write_text("test;t;f;d\na;0.0;1;2\nb;0.1;9;9\na;0.1;;2\na;0.2;3;4\n")
-    reader = TableReader(path, Columns.parse("t,f*4,d*0.5"), ("test", "a"))
-    assert [row[:3] for row in reader.rows()] == [
-        (1_000_000_000, 4.0, 1.0),
-        (1_200_000_000, 12.0, 2.0),
-    ]
-    assert reader.warnings == ("1 rows of tests.csv hold no number where one is needed",)
-    by_rate = TableReader(path, Columns.parse("@500,f,d"))
-    assert [row.stamp_ns for row in by_rate.rows()][:2] == [1_000_000_000, 1_002_000_000]
-    # Stamps are exact.
-    assert Columns.parse("t_ms*1e-3, f ,d").time == Column("t_ms", Decimal("1e-3"))
 
 
 # The bag of results

@@ -41,7 +41,6 @@ from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
-    Ramp,
     RampHold,
     Scenario,
     Site,
@@ -220,10 +219,6 @@ def test_label_of_a_sequence_of_answers(name):
 # The label in a whole contact: early enough, never too early, and gone with its tissue
 
 
-#: Alike but for alpha.
-SLOW = replace(LIVER, name="slow", mean=LIVER.mean + np.array([0.0, 0.0, 0.15]))
-TWINS = TissueLibrary("twins", (LIVER, SLOW), LIBRARY.unknown)
-RAMP = Ramp(strain_rate=0.4, max_strain=0.25)
 HOLD = RampHold(strain_rate=0.4, max_strain=0.25, hold_s=1.5)
 
 
@@ -273,23 +268,6 @@ def test_no_label_before_the_estimate_has_converged():
     assert 0.1 < first.decided.time < 1.0
     (summary,) = summaries_of(outputs)
     assert summary.decided == first.decided
-
-
-def test_label_waits_where_the_data_have_not_shown_what_decides():
-    # So much noise that the ramp shows G and Gn, but hardly alpha; the priors favour liver.
-    biased = replace(TWINS, tissues=(replace(LIVER, prior=1e3), SLOW))
-    outputs = pressed(biased, RAMP, noise=16.0)
-    assert any(o.status is Status.CONVERGED for o in outputs if isinstance(o, TissueState))
-    waiting = [a for a in answers(outputs) if a.classes is not None]
-    sd = [
-        math.sqrt(o.estimate.covariance[2, 2])
-        for o in outputs
-        if isinstance(o, TissueState) and o.estimate is not None
-    ]
-    blind = [a for a in waiting if not a.classes.is_observable]
-    assert blind and min(sd) > 0.005
-    assert all(a.decision is Decision.UNDETERMINED and not a.classes.label for a in blind)
-    assert all(max(a.classes.probabilities) > 0.9 for a in blind)
 
 
 def test_repeated_contact_of_a_site_decides_with_all_that_is_known():

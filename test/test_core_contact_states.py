@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from fault_helpers import shift
-from pipeline_helpers import Item, feed, summaries_of
+from pipeline_helpers import Item, begun, feed, summaries_of
 
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Phase, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -21,15 +21,12 @@ from fden_ros.core.site import Site
 from fden_ros.core.site_contact import Contact, Event, State
 from fden_ros.core.standing import SiteState
 from fden_ros.core.streams.samples import Pair
-from fden_ros.parameters import check, pipeline_config
 
 LATE = {"site.timeout": 0.3}
 
 
-def begun(**own: object) -> tuple[Pipeline, list[Output]]:
-    outputs: list[Output] = []
-    parameters = shift().parameters | own
-    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
+def new(**own: object) -> tuple[Pipeline, list[Output]]:
+    return begun(shift().parameters | own)
 
 
 def contact_of(pipeline: Pipeline) -> Contact | None:
@@ -45,7 +42,7 @@ def until(pipeline: Pipeline, items: list[Item], when: Callable[[Contact], bool]
 @functools.cache
 def at(state: State) -> bytes:
     """A pipeline whose contact is at a state, and the items to come."""
-    pipeline, _ = begun(**{"estimator.observation": "fractional_stress"})
+    pipeline, _ = new(**{"estimator.observation": "fractional_stress"})
     items = list(shift().items)
     is_forced = state in (State.INTERRUPTED, State.FAILED)
     until(pipeline, items, lambda c: c.state is (State.PRESSING if is_forced else state))
@@ -166,7 +163,7 @@ def test_a_site_that_has_lost_its_past_says_nothing_and_never_goes_back(loss) ->
 
 
 def test_a_touch_that_may_be_elsewhere_leaves_the_estimator_of_the_last_site_as_it_was():
-    pipeline, outputs = begun(**LATE)
+    pipeline, outputs = new(**LATE)
     items = [item._replace(position=None) for item in shift().items]
     until(pipeline, items, lambda contact: contact.state is State.CLOSED)
     first = contact_of(pipeline).site
@@ -180,9 +177,9 @@ def test_a_touch_that_may_be_elsewhere_leaves_the_estimator_of_the_last_site_as_
 
 def test_only_a_contact_that_is_claimed_teaches_the_rig():
     def learned(**own: object) -> bool:
-        pipeline, outputs = begun(**{"force.drift_sd": 2e-4, **own})
+        pipeline, outputs = new(**{"force.drift_sd": 2e-4, **own})
         until(pipeline, list(shift().items), lambda contact: contact.state is State.CLOSED)
-        stated, (summary,) = begun()[0].rig, summaries_of(outputs)
+        stated, (summary,) = new()[0].rig, summaries_of(outputs)
         assert summary.converged == (not own)
         return pipeline.rig.drift != stated.drift
 

@@ -232,14 +232,6 @@ def test_any_data_on_any_steps_equals_the_full_memory(data, order, step_list):
     assert abs(result - product_integral(order, times, values)) <= bound
 
 
-def test_a_smooth_stress_is_integrated_to_1e_5():
-    times = np.linspace(0.0, 2.0, 2001)
-    for order in ORDERS:
-        found = integrated(order, times, times)
-        exact = times[1:] ** (1.0 + order) / gamma(order + 2.0)
-        assert np.all(np.abs(found - exact) <= 2e-5 * exact[-1])
-
-
 @examples(50)
 @given(data=st.data(), step_list=steps, repeats=st.integers(1, 4))
 def test_samples_taken_together_are_what_they_are_one_by_one(data, step_list, repeats):

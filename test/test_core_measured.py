@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pipeline_helpers import begun
 from property_helpers import counts
 
 from fden_ros.control.live_tissue import LiveTissue
@@ -70,8 +71,7 @@ def outputs_of(
     places: np.ndarray, forces: np.ndarray, *, at_once: int = 1, **own: object
 ) -> tuple[Pipeline, list[Output]]:
     """Return what the pipeline puts out: so many samples of a stream come at once."""
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(own)), outputs.append)
+    pipeline, outputs = begun(own)
     stamps = [START_NS + round(n / RATE * NANOSECONDS) for n in range(len(places))]
     for start in range(0, len(stamps), at_once):
         part = slice(start, start + at_once)
@@ -319,8 +319,7 @@ def test_missing_samples_are_not_bridged():
     places, forces = way((0.005, 1.25)), SPRING * way((0.005, 1.25))
     keep = np.ones(places.size, dtype=bool)
     keep[300:360] = False
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(CONTINUOUS)), outputs.append)
+    pipeline, outputs = begun(CONTINUOUS)
     for count in np.flatnonzero(keep).tolist():
         stamp_ns = START_NS + round(count / RATE * NANOSECONDS)
         pipeline.add_displacement(stamp_ns, float(places[count]))

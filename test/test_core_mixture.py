@@ -25,7 +25,7 @@ from fden_ros.core.estimation.estimator import Block
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
-from fden_ros.core.estimation.mixture import Component, MaybeZero, moments, with_held
+from fden_ros.core.estimation.mixture import Component, MaybeZero, with_held
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND
 from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
@@ -100,7 +100,10 @@ def of_two_places() -> tuple[PosteriorEstimator, Tissue]:
 
 def assert_moments(estimate: Estimate) -> None:
     assert math.isclose(sum(one.weight for one in estimate.modes), 1.0, rel_tol=1e-12)
-    mean, covariance = moments(estimate.modes)
+    mean = sum(one.weight * one.mean for one in estimate.modes)
+    squares = [one.covariance + np.outer(one.mean, one.mean) for one in estimate.modes]
+    second = sum(one.weight * square for one, square in zip(estimate.modes, squares, strict=True))
+    covariance = second - np.outer(mean, mean)
     np.testing.assert_allclose(mean, estimate.mean, atol=1e-9)
     np.testing.assert_allclose(covariance, estimate.covariance, atol=1e-9)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import outcome_of
-from pipeline_helpers import FORCE, feed, identified, items_of, parameters_of, summaries_of
+from pipeline_helpers import FORCE, begun, feed, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts, first
 
 from benchmark import presses
@@ -32,8 +32,6 @@ from fden_ros.core.estimation.proposals.place import log_ratio
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
 from simulation.scenario import (
     DisplacementSensor,
     Disturbances,
@@ -134,8 +132,7 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
 
 def test_what_a_contact_tells_of_the_rig_the_next_site_knows_also_after_a_reset():
     items, parameters = touches()
-    outputs = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    pipeline, outputs = begun(parameters)
     assert pipeline.rig.contacts == 0
     feed(pipeline, items)
     pipeline.finish()
@@ -162,8 +159,7 @@ def test_a_contact_that_is_cut_short_or_not_to_be_learned_from_teaches_nothing()
 
 def test_forgetting_the_rig_before_the_air_was_judged_lets_that_contact_teach_nothing():
     items, parameters = touches()
-    outputs = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    pipeline, outputs = begun(parameters)
     stated = RigKnowledge.stated(pipeline.config.estimator)
     remaining = iter(items)
     while not summaries_of(outputs):

@@ -202,6 +202,14 @@ def test_force_in_coarse_steps_is_never_stuck():
     assert run.rejected["force.stuck"] > 9_000
 
 
+def test_the_noise_of_a_motion_is_that_of_its_samples():
+    noise = 1e-5 * np.random.default_rng(2).standard_normal(1000)
+    run = Run()
+    for n, value in enumerate(noise.tolist()):
+        run.both(START + 5 * n * MS, displacement=1e-4 * n + value)
+    assert run.synchronizer.path_noise() / (1e-10 * 5e-3) == pytest.approx(1.0, rel=0.35)
+
+
 def log_spaced(first_ms, last_ms, per_decade):
     count = round(per_decade * np.log10(last_ms / first_ms)) + 1
     return np.geomspace(first_ms, last_ms, count)

@@ -9,7 +9,6 @@ import ast
 import enum
 import functools
 import io
-import json
 import re
 import shlex
 import subprocess
@@ -61,7 +60,7 @@ from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.proposals import change
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.streams.samples import Reason
-from fden_ros.offline.replay import Replay, replay
+from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.offline.session import gather
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.source import Selection
@@ -247,27 +246,6 @@ def test_a_bag_that_leaves_nothing_open_is_ten_times_sharper_as_is_said():
         assert np.all(arm.deviations[:2] > 10 * exact.deviations[:2])
 
 
-def test_depth_in_mm_shows_as_is_said(first_press):
-    heard = identified({}, "time_s,force_N,depth_mm*1", first_press)
-    assert not any(heard.converged)
-    assert all(summary.flags & Flag.IMPLAUSIBLE for summary in heard.summaries)
-    warning = heard.result.warnings[0]
-    assert "a strain of 295" in warning and "factor 0.001" in warning
-
-
-def test_a_geometry_that_is_not_stated_shows_as_is_said(first_press):
-    heard = identified({"geometry.area": 0.0, "geometry.thickness": 0.0})
-    assert not any(heard.converged)
-    assert all(summary.flags & Flag.GEOMETRY_UNSTATED for summary in heard.summaries)
-    assert heard.stiffness[:, 0] == pytest.approx([1352.0, 1826.0], rel=0.01)
-    # Where nothing is left open, the prior counts nothing beside the data.
-    wrong, right = (
-        identified({**own, **EXACT}, path=first_press).stiffness[:, 0]
-        for own in ({"geometry.area": 1e-4}, {})
-    )
-    assert wrong / right == pytest.approx(3.14, rel=0.01)
-
-
 def test_a_shallow_press_shows_as_is_said(tmp_path):
     heard = identified({}, path=rows_between(tmp_path / "press.csv", -1.0, 2.05))
     (estimate,) = heard.estimates
@@ -329,11 +307,6 @@ def test_a_delay_gives_no_wrong_number_under_a_good_status(delay, first_press):
         error = np.abs(estimate.mean - [*TRUTH[site_id - 1], 0.131])
         for index in range(3):
             assert not estimate.knows(index) or error[index] < 5.0 * estimate.deviations[index]
-
-
-def test_a_recording_that_begins_in_contact_shows_as_is_said(tmp_path):
-    heard = identified({}, path=rows_between(tmp_path / "press.csv", 1.83, 99.0))
-    assert heard.converged == [False, True]
 
 
 # What a rig leaves open
@@ -464,12 +437,14 @@ def test_every_fden_command_of_a_page_is_understood(page):
 
 
 @pytest.mark.parametrize("page", ["docs/configure.md", "docs/recordings.md"])
-def test_the_commands_of_a_page_run_beside_the_files_that_they_name(page, tmp_path, monkeypatch):
+def test_the_commands_of_a_page_run_beside_the_files_that_they_name(
+    page, first_press, tmp_path, monkeypatch
+):
     bag = tmp_path / "presses"
     write_recording(simulate(ramp_scenario(strain_rate=0.3, hold_s=0.3, rate_hz=100.0)), bag)
     (mcap,) = bag.glob("*.mcap")
-    files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag, "press.csv": PRESS}
-    files |= {"archive": bag}
+    files = {"press.mcap": mcap, "palpation.mcap": mcap, "palpation": bag}
+    files |= {"press.csv": first_press, "archive": bag}
     command = re.compile(r"(?m)^ {4}(?:scripts/ros_env )?fden ((?:configure|re|batch).*)$")
     lines = [line for line in command.findall(text_of(page)) if not re.search("/plc/|://", line)]
     assert lines
@@ -607,11 +582,7 @@ def test_the_page_of_the_interface_has_every_reason_to_reject_a_sample():
 
 
 def test_the_page_of_the_interface_has_every_key_of_the_json():
-    bag = ROOT / "bags" / "golden" / "golden_press"
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        assert main(["replay", str(bag), "--config", str(bag / "identifier.yaml"), "--json"]) == 0
-    result = json.loads(printed.getvalue())
+    result = result_object(identified({}).result)
     named = enumeration(section("docs/interface.md", "## `fden replay --json`"))
     assert named == set(result) | set(result["contacts"][0])
 

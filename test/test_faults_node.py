@@ -285,16 +285,19 @@ def test_stamps_that_jump_far_ahead_and_back_are_followed(live):
 
 
 @row("two_publishers_live")
-def test_two_publishers_are_said(live):
-    with another_publisher(WrenchStamped, RELIABLE):
-        live.wait_for_words("2 publishers")
-    live.recovers()
-
-
 @row("wrong_type")
-def test_a_topic_of_another_type_is_said(live):
-    with another_publisher(JointState, RELIABLE):
-        live.wait_for_words("expected geometry_msgs/msg/WrenchStamped")
+@row("qos_mismatch")
+@pytest.mark.parametrize(
+    ("kind", "reliability", "words"),
+    [
+        (WrenchStamped, ReliabilityPolicy.RELIABLE, "2 publishers"),
+        (JointState, ReliabilityPolicy.RELIABLE, "expected geometry_msgs/msg/WrenchStamped"),
+        (WrenchStamped, ReliabilityPolicy.BEST_EFFORT, "incompatible reliability"),
+    ],
+)
+def test_another_publisher_that_does_not_fit_is_said(live, kind, reliability, words):
+    with another_publisher(kind, QoSProfile(depth=10, reliability=reliability)):
+        live.wait_for_words(words)
     live.recovers()
 
 
@@ -358,14 +361,6 @@ while True:
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
-    live.recovers()
-
-
-@row("qos_mismatch")
-def test_a_publisher_whose_qos_does_not_match_is_said(live):
-    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    with another_publisher(WrenchStamped, best_effort):
-        live.wait_for_words("incompatible reliability")
     live.recovers()
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shlex
@@ -16,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from command_helpers import answer, fden
 from frame_helpers import Place, Vector, place, write_bag
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -39,7 +39,6 @@ from simulation.scenario import (
 from simulation.simulate import Recording, simulate
 from simulation.trajectory import Approach, RampHold
 
-# Recordings of a new user: three presses of one place by an arm, in four layouts
 # Tissue, noise and the rig's errors are drawn; the errors as the parameters' defaults say.
 
 
@@ -190,9 +189,6 @@ LAYOUTS = {
 }
 
 
-# A new user's first hour: from a recording of an arm to numbers: configure, replay, report
-
-
 #: Of white noise a sample [N].
 NOISES = (0.005, 0.02, 0.05)
 SEEDS = 20
@@ -213,17 +209,12 @@ def identified(
     recording, truth = recorded(folder, layout, seed, noise, **options)
     indenter = ("--flat-punch", f"{FACE:.4g}", "--thickness", f"{THICKNESS}")
     file = folder / "probe.yaml"
-    assert run("configure", recording, *rig.options, *indenter, "-o", file) == 0
+    assert fden("configure", recording, *rig.options, *indenter, "-o", file) == 0
     assert "ATTENTION" not in capsys.readouterr().out
     assert_signs(file, layout)
-    assert run("replay", recording, "--config", file, "--json") in (0, 3)
-    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    contacts = answer(capsys, "replay", recording, "--config", file)["contacts"]
     assert {one["site"] for one in contacts} == {1}
     return contacts, truth
-
-
-def run(*arguments: Any) -> int:
-    return main([str(argument) for argument in arguments])
 
 
 def assert_signs(file: Path, layout: str) -> None:

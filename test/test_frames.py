@@ -25,14 +25,12 @@ from frame_helpers import (
 )
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from pipeline_helpers import DISPLACEMENT, FORCE, Item
-from ros_helpers import Bench, active, assert_live_equals_replay, replayed
+from ros_helpers import assert_live_equals_replay, replayed
 from scipy.spatial.transform import Rotation
 
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.rotation import Transform
-from fden_ros.core.streams.tool import ToolPath, ToolPathConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
@@ -44,7 +42,6 @@ from fden_ros.ros.decoding import fast_handler
 from fden_ros.ros.inputs import Inputs
 from fden_ros.ros.messages import to_stamp
 from simulation.bag import PARAMETER_FILE
-from simulation.simulate import START_NS
 
 # Forces and positions in frames that move: by /tf, against the truth of a turning arm
 
@@ -156,20 +153,6 @@ def test_live_equals_replay_with_transforms_bit_for_bit(bag):
     assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
 
 
-def test_frames_that_nothing_connects_are_named_live_after_2_s():
-    words = "no chain of transforms leads from s to base: /tf and /tf_static name none"
-    with Bench() as bench, active(FRAMES) as node:
-        now = iter(range(START_NS, 2 * START_NS, 4_000_000))
-        bench.wait_for(
-            lambda: (
-                bench.publish(next(now), 0.0, 0.0)
-                or sum(words in array.status[0].message for array in bench.diagnostics) >= 3
-            ),
-            "three looks that say so",
-        )
-    assert any("[WARN]" in line and words in line for line in node.output.splitlines())
-
-
 def test_the_transforms_type_is_that_of_the_ros_that_a_robot_runs():
     """The hash of Jazzy's tf2_msgs, by which DDS tells types apart."""
     known = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
@@ -223,18 +206,6 @@ def by_messages(
 # The weight of a tool that turns
 
 MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
-
-
-@pytest.mark.parametrize("is_torque", [False, True])
-def test_load_is_the_weight_seen_from_the_sensor(is_torque):
-    rng = np.random.default_rng(0)
-    axis = rng.standard_normal(3)
-    axis /= np.linalg.norm(axis)
-    turn = Rotation.random(rng=rng)
-    tool = ToolWeight(MASS, CENTRE, GRAVITY, tuple(axis), is_torque)
-    weight = turn.inv().apply(MASS * np.array(GRAVITY))
-    expected = axis @ (np.cross(CENTRE, weight) if is_torque else weight)
-    assert tool.load(tuple(turn.as_quat())) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("is_fast", [False, True])
@@ -300,15 +271,6 @@ def test_a_tilted_probe_gives_what_an_upright_one_gives(wobble, still):
     found = along_its_axis(wobble)
     assert_alike(found, still)
     assert not found.pipeline.rejected and not found.pipeline.warnings
-
-
-def test_a_turn_on_the_spot_far_from_the_origin_is_no_way():
-    path = ToolPath(ToolPathConfig((1.0, 0.0, 0.0)))
-    x, y, z = map(float, FAR)
-    for second in np.linspace(0.0, 3.0, 50):
-        a, b, c, d = map(float, turn_at(second, 0.3).as_quat())
-        way, tilt = path.add(Transform((x, y, z), (a, b, c, d)))
-        assert way == 0.0 and tilt == 0.0
 
 
 def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(still):

@@ -110,17 +110,6 @@ def test_mistake_is_told_in_one_line_with_the_file(tmp_path, data, said):
     assert said in message and str(path) in message
 
 
-def test_typed_and_learned_tissues_stand_in_one_file(tmp_path):
-    tissues = [{"name": "a", "distribution": LEARNED}, {"name": "b", **MOMENTS}]
-    data = content(format=2, units="N", geometry={"kind": "sphere"}, tissues=tissues)
-    library = load_library(written(tmp_path, data))
-    assert library.class_names == ("a", "b", "unknown")
-    assert [t.degrees_of_freedom for t in library.tissues] == [7.0, math.inf]
-    np.testing.assert_allclose(library.tissues[0].mean, LEARNED["mean"])
-    np.testing.assert_allclose(library.tissues[0].covariance, LEARNED["covariance"])
-    assert (library.units, library.geometry) == ("N", "sphere")
-
-
 # Units and geometry
 
 
@@ -279,17 +268,6 @@ def test_contacts_become_a_library_with_a_check_and_priors(tmp_path, capsys, mon
         assert np.all(off < [0.3, 0.2, 0.02])
     assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
     assert found.units == "Pa"
-
-
-def test_answer_in_json_has_check_warnings_and_what_was_left_out(tmp_path, capsys, monkeypatch):
-    contacts = drawn(np.random.default_rng(0), specimens=9, each=1, named=False)
-    learned_from(monkeypatch, replace(contacts, skipped={"not converged": 6}))
-    code, out, _ = train(capsys, "a=here", "-o", tmp_path / "l.yaml", "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["contacts"] == 18
-    assert answer["left_out"] == {"not converged": 6}
-    assert answer["check"]["left_out"] == "one contact at a time: no specimen is named"
-    assert any("no specimen is named for a, b" in line for line in answer["warnings"])
 
 
 @pytest.fixture(scope="module")

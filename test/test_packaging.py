@@ -195,13 +195,6 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
 
 
-def test_one_script_installs_everywhere():
-    places = (".ci/run", "Dockerfile", ".devcontainer/devcontainer.json", "docs/robot.md")
-    for path in (*places, "README.md", ".github/workflows/test.yaml"):
-        assert "scripts/install" in (ROOT / path).read_text(), path
-    assert os.access(ROOT / "scripts" / "install", os.X_OK)
-
-
 def test_without_a_compiler_one_line_says_what_to_install(tmp_path):
     build = [sys.executable, "setup.py", "-q", "build_ext", "-f", "-b", tmp_path, "-t", tmp_path]
     failed = subprocess.run(

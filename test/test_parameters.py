@@ -61,18 +61,6 @@ def test_what_is_not_given_takes_its_default():
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("geometry.aera", "; did you mean geometry.area"),
-        ("stale_timout", "; did you mean stale_timeout"),
-        ("alpha.source", " any more: use alpha.learn: true for prior, false for given"),
-    ],
-)
-def test_unknown_name_suggests_the_nearest_and_an_old_one_the_new(name, said):
-    assert refusal(check, {name: 1.0}).startswith(f"there is no parameter {name}{said}")
-
-
-@pytest.mark.parametrize(
     ("name", "value", "right"),
     [
         ("geometry.area", "large", "must be a number"),
@@ -162,15 +150,6 @@ def test_a_name_sets_the_one_field_that_declares_it(parameter):
     value = other_value(parameter)
     changed = check({parameter.name: value}).as_dict()
     assert changed == Parameters().as_dict() | {parameter.name: value} != Parameters().as_dict()
-
-
-@pytest.mark.parametrize("learn", [True, False])
-def test_alpha_is_learned_from_the_prior_or_given_by_it(learn):
-    stated = {"alpha.learn": learn, "prior.alpha": 0.3, "prior.alpha_sd": 0.02}
-    estimator = pipeline_config(check(stated)).estimator
-    assert estimator.fractional_order_given is not learn
-    prior = estimator.prior
-    assert (prior.fractional_order, prior.fractional_order_sd) == (0.3, 0.02)
 
 
 @pytest.mark.parametrize(

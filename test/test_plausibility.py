@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline_helpers import LIVER_PARAMETERS
+from command_helpers import answer, fden
+from pipeline_helpers import LIVER_PARAMETERS, begun
 
-from fden_ros.cli import main
+from benchmark.trial import fed, through
 from fden_ros.control.live_tissue import LiveTissue, Refusal
-from fden_ros.core import Pipeline
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check, pipeline_config
@@ -93,14 +93,11 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(columns, paramet
 )
 def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, displacement, words):
     """As the node looks, once a second, and as a replay says at the end."""
-    pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
+    pipeline, _ = begun(PROBE)
     problems = PipelineProblems(pipeline)
     said: list[str] = []
-    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250)
-    for k, (time, newtons, mm) in enumerate(rows):
-        stamp = round(1e9 * (1.0 + time))
-        pipeline.add_displacement(stamp, displacement * 1e-3 * mm)
-        pipeline.add_force(stamp, force * newtons)
+    times, newtons, mm = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250).T
+    for k, _ in enumerate(fed(pipeline, times, force * newtons, displacement * 1e-3 * mm)):
         said += problems.look().warnings if k % 200 == 199 else ()
     said = [one for one in [*said, *pipeline.warnings] if "fell below its value in the air" in one]
     assert all(words is not None and words in one for one in said), said
@@ -114,12 +111,7 @@ def test_no_sign_is_doubted_because_a_creeping_touch_was_taken_for_the_air():
         force=ForceSensor(100.0, noise_n=0.01),
         displacement=DisplacementSensor(100.0),
     )
-    recording = simulate(scenario, 0)
-    pipeline = Pipeline(pipeline_config(check(PROBE)), lambda _output: None)
-    force, place = recording.force, recording.displacement
-    for stamp, newtons, metres in zip(force.stamp_ns, force.value, place.value, strict=True):
-        pipeline.add_displacement(int(stamp), float(metres))
-        pipeline.add_force(int(stamp), float(newtons))
+    pipeline, _ = through(simulate(scenario, 0), pipeline_config(check(PROBE)))
     (said,) = (one for one in pipeline.warnings if "fell below its value in the air" in one)
     assert "sign" not in said and "touch faster" in said
 
@@ -138,14 +130,12 @@ def test_slow_recording_is_identified():
 def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     config = tmp_path / "probe.yaml"
     config.write_text("/**: {ros__parameters: {geometry: {area: 3.14e-4, thickness: 0.02}}}\n")
-    command = ["replay", str(once), "--config", str(config), "--json", "--columns"]
-    assert main([*command, "time_s,force_N,depth_mm*1"]) == 3
+    command = ("replay", once, "--config", config, "--json", "--columns")
+    assert fden(*command, "time_s,force_N,depth_mm*1") == 3
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
     assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])
-    assert main([*command, "time_s,force_N*-1,depth_mm*-1e-3"]) == 3
-    assert "do both have the wrong sign" in capsys.readouterr().err
-    assert main([*command, RIGHT]) == 0
+    assert fden(*command, RIGHT) == 0
     assert capsys.readouterr().err == ""
 
 
@@ -175,21 +165,13 @@ def test_without_a_stated_geometry_nothing_is_converged(parameters, example, onc
 
 def test_every_output_says_that_the_geometry_is_not_stated(capsys, tmp_path, once):
     results, page = tmp_path / "results", tmp_path / "press.html"
-    assert main(["replay", str(once), "--columns", RIGHT, "-o", str(results)]) == 3
-    printed = capsys.readouterr()
-    words = " ".join(printed.out.split())
-    assert words.count("geometry unstated") == 1
-    assert words.count("such as geometry: {kind: flat_punch,") == 1
-    assert main(["replay", str(once), "--columns", RIGHT, "--json"]) == 3
-    found = json.loads(capsys.readouterr().out)
+    found = answer(capsys, "replay", once, "--columns", RIGHT, "-o", results)
     assert all(
         c["flags"] == ["geometry_unstated"] and not c["converged"] for c in found["contacts"]
     )
     assert found["warnings"][0].startswith("the geometry is not stated")
-    assert main(["report", str(once), "--columns", RIGHT, "-o", str(page)]) == 0
-    text = page.read_text(encoding="utf-8")
-    assert "sizes not stated" in text and "none converged" in text
-    assert "a probe that stands in for it" in text
+    assert fden("report", once, "--columns", RIGHT, "-o", page) == 0
+    assert "sizes not stated" in page.read_text(encoding="utf-8")
     messages = [decode(m) for m in BagReader(results).messages(["/diagnostics"])]
     assert messages
     for message in messages:

@@ -23,7 +23,6 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 from property_helpers import examples
 from rclpy.serialization import deserialize_message
-from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -157,19 +156,6 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
 
 
 # Other tools
-
-
-def test_an_independent_reader_reads_our_bag(tmp_path):
-    with AnyReader([write_bag(tmp_path / "bag")]) as reader:
-        assert {c.topic: (c.msgtype, c.digest) for c in reader.connections} == {
-            "/force": (WRENCH, type_hash(WRENCH)),
-            "/joints": (JOINTS, type_hash(JOINTS)),
-        }
-        read = [(c.topic, t, reader.deserialize(d, c.msgtype)) for c, t, d in reader.messages()]
-    assert [m.wrench.force.z for topic, _, m in read if topic == "/force"] == list(range(50))
-    positions = [m.position[0] for topic, _, m in read if topic == "/joints"]
-    assert positions == [i * 1e-3 for i in range(50)]
-    assert read[0][1] == START
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

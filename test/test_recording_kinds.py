@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 import gzip
 import itertools
@@ -15,6 +14,8 @@ import shlex
 from pathlib import Path
 
 import pytest
+from command_helpers import fden, rows_of
+from pipeline_helpers import refusal
 from recording_kinds import (
     BAGS,
     LEFT,
@@ -36,7 +37,7 @@ from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.errors import InputError
 from fden_ros.nodes.player import Player
-from fden_ros.offline.replay import Replay, replay, result_object
+from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.reader import BagReader, decode
@@ -71,10 +72,8 @@ def values(reader: TableReader) -> list[tuple[float, ...]]:
 def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, tmp_path):
     table = TABLES[kind]
     if table.refused:
-        with pytest.raises(InputError) as caught:
-            reader_of(tmp_path, table)
-        line = str(caught.value)
-        assert all(words in line for words in table.refused) and "\n" not in line
+        line = refusal(lambda folder: reader_of(folder, table), tmp_path)
+        assert all(words in line for words in table.refused)
     else:
         reader = reader_of(tmp_path, table)
         assert values(reader) == [pytest.approx(row, rel=1e-6, abs=1e-12) for row in ROWS]
@@ -86,10 +85,8 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     messages, expected = small(), BAGS[kind]
     path = expected.make(tmp_path, messages)
     if expected.refused:
-        with pytest.raises(InputError) as caught:
-            BagReader(path)
-        assert expected.refused in str(caught.value)
-        assert "\n" not in str(caught.value) and "ros2 " not in str(caught.value)
+        line = refusal(BagReader, path)
+        assert expected.refused in line and "ros2 " not in line
         return
     bag = BagReader(path)
     assert list(bag.messages()) == messages
@@ -102,18 +99,17 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     assert (player.message_count, player.warnings) == (240, ())
 
 
-@functools.cache
-def of_mcap() -> Replay:
-    return replay(PRESS, read_parameter_file(PRESS / "identifier.yaml"))
-
-
-@pytest.mark.parametrize("kind", ["sqlite3", "ROS 1", "MCAP by file", "sqlite3 by message, alone"])
-def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(kind, tmp_path):
+def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
     parameters = read_parameter_file(PRESS / "identifier.yaml")
     messages = list(BagReader(PRESS).messages(["/force", "/displacement"]))
-    other = replay(bag_of(kind, tmp_path, messages), parameters)
-    assert result_object(other) == result_object(of_mcap())
-    assert other.has_identified
+    results = []
+    for kind in ("MCAP", "sqlite3", "ROS 1"):
+        (tmp_path / kind).mkdir()
+        # The first of two presses.
+        bag = bag_of(kind, tmp_path / kind, messages[: len(messages) // 2])
+        results.append(result_object(replay(bag, parameters)))
+    assert results[0] == results[1] == results[2]
+    assert results[0]["contacts"][0]["converged"]
 
 
 def test_types_of_ros_1_that_are_others_today_are_read_by_field_but_not_played(tmp_path):
@@ -169,9 +165,8 @@ def test_a_topic_without_messages_is_named_as_such(stream, empty, kind, tmp_path
         ({stream: empty}, f"topic {empty} has no messages"),
     ):
         for use in (lambda path, chosen: replay(path, check({}), chosen), read):
-            with pytest.raises(InputError) as caught:
-                use(tmp_path / "bag", Selection(topics))
-            assert words in str(caught.value) and "damaged" not in str(caught.value)
+            line = refusal(functools.partial(use, tmp_path / "bag"), Selection(topics))
+            assert words in line and "damaged" not in line
 
 
 @pytest.mark.parametrize("name", ["/target_joints", "/joints"])
@@ -198,11 +193,11 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     assert words in as_they_are.warnings[0]
     assert "--stamps recording" in as_they_are.warnings[0]
     received = replay(bag, check({}), Selection(stamps="recording"))
-    by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
-    assert result_object(by_parameter) == result_object(received)
     assert received.samples == 120
     assert not any("stamps" in warning for warning in received.warnings)
     if stamps == "zero":
+        by_parameter = replay(bag, check({"synchronize.stamp_source": "receive"}))
+        assert result_object(by_parameter) == result_object(received)
         with pytest.raises(InputError, match=r"are 0.*--stamps recording.*0 usable samples"):
             read(bag)
     reading = read(bag, Selection(stamps="recording"))
@@ -278,11 +273,9 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
     (tmp_path / "empty").mkdir()
     output = archive / "results.csv"
     places = [archive, tmp_path / "empty", tmp_path / "nowhere"]
-    command = ["batch", *map(str, places), "-o", str(output), "--workers", "1"]
     for _ in range(2):
-        assert main(command) == 0
-        with output.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+        assert fden("batch", *places, "-o", output, "--workers", "1") == 0
+        rows = rows_of(output)
         found = {Path(row["bag"]).name: row["error"] for row in rows}
         chosen = {Path(row["bag"]).name: row["inputs"] for row in rows}
         assert chosen["old.bag"] == "force from /force, displacement from /joints"

@@ -159,14 +159,6 @@ def test_a_replay_from_a_url_gives_what_that_of_a_file_gives(s3, folder, capsys)
     assert len(shown[0]["contacts"]) == 2 and shown[0] == shown[1]
 
 
-def test_what_is_no_bag_at_a_url_is_called_by_its_url(s3, capsys):
-    import boto3
-
-    boto3.client("s3").put_object(Bucket="lab", Key="notes.mcap", Body=b"no bag at all, but notes")
-    assert main(["replay", "s3://lab/notes.mcap"]) == 1
-    assert "s3://lab/notes.mcap is no bag" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("server", ["web", "sftp"])
 def test_an_archive_at_a_url_is_identified(server, request, tmp_path):
     root = request.getfixturevalue(server)

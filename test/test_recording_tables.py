@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_helpers import answer
 from recording_kinds import NEWTONS, PLAIN
 from scipy.spatial.transform import Rotation
 
-from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
@@ -122,9 +121,9 @@ def test_the_specimen_is_taken_from_the_preamble(
     assert (geometry.area, geometry.thickness) == (1e-4, 0.01)
 
 
-def replayed(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
-    main(["replay", *map(str, arguments), "--json"])
-    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+def replayed(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
+    result: dict[str, Any] = answer(capsys, "replay", *words)
+    return result
 
 
 def test_options_say_what_a_testing_machine_has_recorded(

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_helpers import fden
+from pipeline_helpers import of_columns, summaries_of
 
-from fden_ros.cli import main
 from fden_ros.core.estimation.estimator_config import Prior
-from fden_ros.core.outputs import ContactSummary, Output
+from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import KNOWN_RIG
 
 ROOT = Path(__file__).parent.parent
@@ -35,24 +35,15 @@ def scaled(
         **KNOWN_RIG,
         **{name.replace("__", "."): value for name, value in more.items()},
     }
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
-    for time, force, depth in PRESS:
-        stamp_ns = round(1e9 * (1.0 + time))
-        pipeline.add_displacement(stamp_ns, 1e-3 * depth * size)
-        pipeline.add_force(stamp_ns, force * size**2 * stress)
-    pipeline.finish()
-    return pipeline, [one for one in outputs if isinstance(one, ContactSummary)]
+    times, forces, depths = PRESS.T
+    columns = times, forces * size**2 * stress, 1e-3 * depths * size
+    pipeline, outputs = of_columns(parameters, *columns)
+    return pipeline, summaries_of(outputs)
 
 
 @pytest.mark.parametrize(
     ("peak", "size", "stress"),
-    [
-        ("10 pN", 1e-5, 1.0),
-        ("0.1 uN", 1e-3, 1.0),
-        ("9 N", 1.0, 1e2),
-        ("2 kN", 5.0, 1e3),
-    ],
+    [("10 pN", 1e-5, 1.0), ("0.1 uN", 1e-3, 1.0), ("9 N", 1.0, 1e2), ("2 kN", 5.0, 1e3)],
 )
 def test_a_press_is_the_same_tissue_in_any_size(peak: str, size: float, stress: float) -> None:
     _, (summary,) = scaled(size, stress, force__noise_floor=1e-16)
@@ -72,13 +63,10 @@ def test_a_floor_that_hides_a_press_is_said_with_one_that_does_not(size: float) 
     (words,) = (one for one in pipeline.warnings if "hides presses" in one)
     floor = re.search(r"noise_floor: (\S+)}", words)
     assert floor is not None
-    pipeline, (summary,) = scaled(size, force__noise_floor=float(floor[1]))
-    assert summary.converged and not pipeline.warnings
-
-
-@pytest.mark.parametrize("size", [0.1, 1.0])
-def test_a_floor_that_hides_nothing_is_not_spoken_of(size: float) -> None:
-    assert not any("floor" in words for words in scaled(size)[0].warnings)
+    # A floor that hides nothing is not spoken of.
+    for seen, own in ((size, {"force__noise_floor": float(floor[1])}), (0.1, {})):
+        pipeline, (summary,) = scaled(seen, **own)
+        assert summary.converged and not pipeline.warnings
 
 
 def test_a_micro_indenter_s_table_in_nanonewtons_and_nanometres_works_end_to_end(
@@ -96,25 +84,11 @@ def test_a_micro_indenter_s_table_in_nanonewtons_and_nanometres_works_end_to_end
     table, config = tmp_path / "gel.csv", tmp_path / "probe.yaml"
     np.savetxt(table, np.stack([time, 1e9 * force, 1e9 * way]).T, delimiter=",",
                header="time_s,force_nN,displacement_nm", comments="")  # fmt: skip
-    assert (
-        main(
-            [
-                "configure",
-                str(table),
-                "--sphere",
-                str(radius),
-                "--thickness",
-                "1e-3",
-                "-o",
-                str(config),
-            ]
-        )
-        == 0
-    )
+    assert fden("configure", table, "--sphere", radius, "--thickness", "1e-3", "-o", config) == 0
     assert "noise_floor: 2.0e-12" in config.read_text()
     capsys.readouterr()
-    command = ["replay", str(table), "--config", str(ROOT / "config" / "bench.yaml")]
-    assert main([*command, "--config", str(config)]) == 0
+    bench = ROOT / "config" / "bench.yaml"
+    assert fden("replay", table, "--config", bench, "--config", config) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.count("contact 1: ") == 1 and "warning" not in shown
     # At the deepest point the slope is 1.5 F/d = 3.27e-3 N/m.

@@ -27,11 +27,10 @@ from benchmark.other_laws import (
 )
 from fden_ros.ros.inputs import stamp_ns
 from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion, Tissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
 from simulation.contact import Stiffening, contacts_of_moves
-from simulation.trajectory import Approach, Palpation, Path, RampHold
+from simulation.trajectory import Approach, Path, RampHold
 
 # The exact stress against arbitrary precision, known limits and another quadrature
 
@@ -116,12 +115,6 @@ def test_stress_is_exact_under_random_piecewise_linear_strain(seed):
 # Contact that cannot pull: its free surface, and against time stepping on a fine grid
 
 
-TISSUES = [(0.02, 6.0), (0.131, 8.5), (0.6, 10.0)]
-QUICK_PALPATION = Palpation(
-    strain_rate=0.5, max_strain=0.25, hold_s=0.3, presses=3, pause_s=0.2, lift_m=0.002
-)
-
-
 def moves_over_fresh_tissue(trajectory):
     path = Path(strain=-0.1, length_m=0.02)
     path.rest(0.1)
@@ -136,23 +129,6 @@ def strain_at(moves, times):
         during = (times >= move.start) & (times <= move.stop)
         strain[during] = move.strain_at(times[during])
     return strain
-
-
-@pytest.mark.parametrize("order, nonlinear", TISSUES)
-def test_the_free_surface_lies_below_the_probe(order, nonlinear):
-    model = FdenModel(520.0, nonlinear, order)
-    moves = moves_over_fresh_tissue(QUICK_PALPATION)
-    history = contacts_of_moves(moves, model)
-    assert len(history.contacts) == 3
-    assert history.contacts[0].max_strain(model) == pytest.approx(0.25)
-    contacts = history.contacts
-    for before, after in itertools.pairwise(contacts):
-        flight = np.linspace(before.stop, after.start, 100)[1:]
-        surface = after.memory.free_phi(flight, model)
-        probe = model.phi(strain_at(moves, flight))
-        assert np.all(probe[:-1] < surface[:-1])
-        assert np.all(np.diff(surface) < 0.0)
-        assert probe[-1] == pytest.approx(surface[-1], rel=1e-9)
 
 
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
@@ -217,21 +193,6 @@ def test_an_inclusion_adds_its_own_law_from_where_it_is_met():
     for strain in np.linspace(0.0, 0.25, 400):
         expected = plain.press(strain) + body.press(max(strain - 0.1, 0.0))
         assert hard.press(strain) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-
-def settled(kind: Command, value: float, seconds: float = 3.0) -> Rig:
-    rig = Rig(RigConfig((Column(LIVER),)))
-    for n in range(int(seconds / STEP)):
-        if n % 20 == 0:
-            rig.command(kind, value)
-        rig.step()
-    return rig
-
-
-def test_position_velocity_and_force_commands_are_followed():
-    assert settled(Command.POSITION, 0.004).depth == pytest.approx(0.004, abs=1e-5)
-    assert settled(Command.VELOCITY, 0.002).velocity == pytest.approx(0.002, rel=1e-6)
-    assert settled(Command.FORCE, 0.1, 20.0).force == pytest.approx(0.1, rel=0.03)
 
 
 def test_the_node_publishes_as_a_driver_does_and_takes_commands():

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_helpers import fden
+from pipeline_helpers import begun, of_columns, summaries_of
 
-from fden_ros.cli import main
-from fden_ros.core.outputs import ContactSummary, Output
-from fden_ros.core.pipeline import Pipeline
+from benchmark.trial import fed
 from fden_ros.core.strokes import REMEDY
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import read_parameter_file
 from fden_ros.ros.status import PipelineProblems
 
 SPRING = 1000.0  # [N/m]
@@ -49,10 +49,10 @@ def _spring(depth: np.ndarray) -> np.ndarray:
     return SPRING * np.maximum(depth, 0.0) + 0.02 * noise
 
 
-def written(path: Path, columns: tuple[np.ndarray, ...]) -> str:
+def written(path: Path, columns: tuple[np.ndarray, ...]) -> Path:
     np.savetxt(path, np.stack(columns).T, delimiter=",", header="time_s,force_N,depth_m",
                comments="")  # fmt: skip
-    return str(path)
+    return path
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
 ) -> None:
     table = written(tmp_path / "spring.csv", pressed(deepest=1.5, count=2))
-    assert main(["replay", table, "--config", str(config)]) == 0
+    assert fden("replay", table, "--config", config) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
     words = " ".join(printed.out.split())
@@ -80,14 +80,8 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
 
 
 def test_a_spring_pressed_deep_has_its_stiffness_by_the_law_too(config: Path) -> None:
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(read_parameter_file(config)), outputs.append)
-    for time, force, depth in np.transpose(pressed(count=2)):
-        stamp_ns = round(1e9 * (1.0 + time))
-        pipeline.add_displacement(stamp_ns, float(depth))
-        pipeline.add_force(stamp_ns, float(force))
-    pipeline.finish()
-    found = [one.apparent_stiffness for one in outputs if isinstance(one, ContactSummary)]
+    outputs = of_columns(read_parameter_file(config).as_dict(), *pressed(count=2))[1]
+    found = [one.apparent_stiffness for one in summaries_of(outputs)]
     assert len(found) == 2
     for one in found:
         assert one is not None and one.sd < 0.2 * SPRING
@@ -100,7 +94,7 @@ def test_what_may_be_the_air_of_a_force_of_the_wrong_sign_is_no_result(
     # Both signs are wrong: what is taken for the contact is the air.
     time, force, depth = pressed()
     table = written(tmp_path / "wrong.csv", (time, -force, -depth))
-    assert main(["replay", table, "--config", str(config)]) == 3
+    assert fden("replay", table, "--config", config) == 3
     printed = capsys.readouterr()
     assert "do both have the wrong sign" in printed.err
     assert "N/m known" not in " ".join(printed.out.split())
@@ -113,12 +107,12 @@ def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffne
     table = written(tmp_path / "strokes.csv", palpated(1e-3))
     if not measure_bias:
         config.write_text(f"{CONFIG}    force: {{measure_bias: false}}\n")
-    assert main(["replay", table, "--config", str(config)]) == 3
+    assert fden("replay", table, "--config", config) == 3
     printed = capsys.readouterr()
     assert REMEDY in printed.err and "1.5 Hz" in printed.err
     assert "undetermined" not in printed.out  # no row of a table
     config.write_text(f"{config.read_text()}    {REMEDY}\n")
-    assert main(["replay", table, "--config", str(config)]) == 0
+    assert fden("replay", table, "--config", config) == 0
     shown = capsys.readouterr().out
     assert "1 stiffness" in " ".join(shown.split()) or "stiffness, cut short" in shown
 
@@ -127,12 +121,9 @@ def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffne
 def test_strokes_are_told_from_presses_once_and_while_they_come(
     lowest: float, is_told: bool
 ) -> None:
-    pipeline = Pipeline(pipeline_config(check(GEOMETRY)), lambda _output: None)
+    pipeline, _ = begun(GEOMETRY)
     problems, said = PipelineProblems(pipeline), []
-    for number, (time, force, depth) in enumerate(np.transpose(palpated(lowest))):
-        stamp_ns = round(1e9 * (1.0 + time))
-        pipeline.add_displacement(stamp_ns, float(depth))
-        pipeline.add_force(stamp_ns, float(force))
+    for number, _ in enumerate(fed(pipeline, *palpated(lowest))):
         if number % RATE == 0:
             said.append(any(REMEDY in words for words in problems.look().warnings))
     pipeline.finish()
@@ -147,7 +138,7 @@ def test_configure_suggests_the_mode_for_a_probe_that_never_lifts(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, lowest: float, is_told: bool
 ) -> None:
     table = written(tmp_path / "strokes.csv", palpated(lowest))
-    assert main(["configure", table]) == 0
+    assert fden("configure", table) == 0
     assert (REMEDY in capsys.readouterr().out) is is_told
 
 
@@ -156,11 +147,6 @@ def test_presses_that_outnumber_the_strokes_keep_their_table() -> None:
     first, second = palpated(1e-3), palpated(-1e-3)
     count = [round(periods / 1.5 * RATE) for periods in (8, 16)]
     force, depth = (np.concatenate([first[k][: count[0]], second[k][: count[1]]]) for k in (1, 2))
-    pipeline = Pipeline(pipeline_config(check(GEOMETRY)), lambda _output: None)
-    for number, (newtons, metres) in enumerate(zip(force, depth, strict=True)):
-        stamp_ns = round(1e9 * (1.0 + number / RATE))
-        pipeline.add_displacement(stamp_ns, float(metres))
-        pipeline.add_force(stamp_ns, float(newtons))
-    pipeline.finish()
+    pipeline, _ = of_columns(GEOMETRY, np.arange(force.size) / RATE, force, depth)
     assert any(REMEDY in words for words in pipeline.warnings)
     assert not pipeline.never_lifts

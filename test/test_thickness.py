@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from command_helpers import answer
 
-from fden_ros.cli import main
 from fden_ros.core.law.geometry import FlatPunch, Sphere
 from fden_ros.offline.thickness import assumed
 from simulation.bag import write_recording
@@ -107,9 +106,7 @@ def replayed(capsys: Any, bag: Path, **changes: object) -> dict[str, Any]:
     for section in content.values():
         section["ros__parameters"].setdefault("geometry", {}).update(changes)
     config.write_text(yaml.safe_dump(content))
-    capsys.readouterr()
-    main(["replay", str(bag), "--config", str(config), "--json"])
-    result = json.loads(capsys.readouterr().out)
+    result = answer(capsys, "replay", bag, "--config", config)
     (contact,) = result["contacts"]
     return contact | {"warnings": result["warnings"]}
 
