@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import importlib
 import os
 import re
 import shutil
@@ -401,6 +402,75 @@ def test_imports_run_one_way():
     places = {room: place for place, room in enumerate(ROOMS)} | {"": -1}
     upward = {arrow for arrow in arrows() if places[arrow[2]] >= places[arrow[1]]}
     assert upward == set()
+
+
+#: Rooms with a face: what others use of them stands in the `__all__` of their `__init__.py`.
+FACES = (
+    "core.streams",
+    "core.law",
+    "core.contact",
+    "core.estimation",
+    "core.oscillation",
+    "core.classification",
+    "simulation",
+    "parameters",
+    "control",
+)
+#: Who uses them; tests may look into a room.
+USERS = ("fden_ros", "benchmark", "simulation", "launch", "examples")
+
+
+def names_from(path: Path) -> Iterator[tuple[str, str]]:
+    """Each module of the package that a file imports from, with the name; empty: as a whole."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from ((node.module or "", alias.name) for alias in node.names)
+
+
+def users_of(room: Path, *folders: str) -> Iterator[Path]:
+    for folder in folders:
+        yield from (path for path in (ROOT / folder).rglob("*.py") if room not in path.parents)
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_nobody_reaches_below_the_face_of_a_room(name):
+    room, face = PACKAGE.joinpath(*name.split(".")), importlib.import_module(f"fden_ros.{name}")
+    below = [
+        f"{path.relative_to(ROOT)}: {module} {imported}"
+        for path in users_of(room, *USERS)
+        for module, imported in names_from(path)
+        if f"{module}.".startswith(f"{face.__name__}.")
+        and (module != face.__name__ or imported not in face.__all__)
+    ]
+    assert below == []
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_a_face_has_what_others_use_and_no_more(name):
+    room, face = PACKAGE.joinpath(*name.split(".")), importlib.import_module(f"fden_ros.{name}")
+    users = users_of(room, *USERS, "test")
+    used = {n for path in users for module, n in names_from(path) if module == face.__name__}
+    assert set(face.__all__) <= used
+    assert [name for name in face.__all__ if not hasattr(face, name)] == []
+
+
+def test_every_room_with_a_face_is_held_to_it():
+    faces = {
+        ".".join(path.parent.relative_to(PACKAGE).parts)
+        for path in PACKAGE.rglob("__init__.py")
+        if "__all__" in path.read_text(encoding="utf-8")
+    }
+    assert faces == {*FACES, "core"}  # the modules of the core are rooms by themselves
+
+
+def test_what_leaves_the_core_is_read_without_a_solver():
+    code = "import sys, fden_ros.core.outputs; print(*sys.modules)"
+    loaded = set(run(sys.executable, "-c", code).stdout.split())
+    assert "fden_ros.core.estimation.estimate" in loaded
+    solver = {f"fden_ros.core.estimation.{name}" for name in ("maximum", "search", "posterior")}
+    assert not loaded & {*solver, "scipy.optimize"}
 
 
 # Least privilege, and nothing read is ever executed
