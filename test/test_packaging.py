@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import importlib
 import os
 import re
@@ -420,13 +421,16 @@ FACES = (
 USERS = ("fden_ros", "benchmark", "simulation", "launch", "examples")
 
 
-def names_from(path: Path) -> Iterator[tuple[str, str]]:
-    """Each module of the package that a file imports from, with the name; empty: as a whole."""
+@functools.cache
+def names_from(path: Path) -> tuple[tuple[str, str], ...]:
+    """Each module that a file imports from, with the name; empty: as a whole."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names)
+            found += [(alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            yield from ((node.module or "", alias.name) for alias in node.names)
+            found += [(node.module or "", alias.name) for alias in node.names]
+    return tuple(found)
 
 
 def users_of(room: Path, *folders: str) -> Iterator[Path]:
