@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove
 from simulation.contact import contacts_of_moves
 

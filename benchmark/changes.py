@@ -27,7 +27,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, moves_of_knots, stress_of_moves
 from simulation.contact import Stiffening, contacts_of_moves
 from simulation.scenario import Geometry

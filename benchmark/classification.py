@@ -25,8 +25,8 @@ from benchmark.measured import PRIOR_STIFFNESS, Test, identify, read_tests
 from benchmark.score import share
 from benchmark.trial import last_summaries, through
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.classification.classifier import UNKNOWN, Tissue, TissueLibrary
-from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.classification import UNKNOWN, Tissue, TissueLibrary
+from fden_ros.core.estimation import Prior
 from fden_ros.parameters import check as checked
 from fden_ros.parameters import pipeline_config
 from fden_ros.tissues.training import check, contacts_of, learn

@@ -27,7 +27,7 @@ from benchmark.score import NAMES, Outcome, Share, bootstrapped, figures_of
 from benchmark.trial import elapsed, outcome_of
 from fden_ros.core.arrays import Array
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import (
     DisplacementSensor,

@@ -25,10 +25,10 @@ from benchmark.presses import CASES, parameters_of, scenario_of
 from benchmark.score import share
 from benchmark.trial import feed, presses_of
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import START_NS, Recording, Stream, simulate
 

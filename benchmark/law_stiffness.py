@@ -19,7 +19,7 @@ import numpy as np
 from benchmark.score import TWO_SIDED_95, Share, share, warns
 from benchmark.trial import elapsed, fed
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config

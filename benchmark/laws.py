@@ -48,13 +48,13 @@ from benchmark.other_laws import (
 )
 from benchmark.score import TWO_SIDED_95, Share, mean_of, rms, share, total
 from benchmark.trial import elapsed, fed, last_summaries
-from fden_ros.control.live_tissue import LiveTissue
+from fden_ros.control import LiveTissue
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.simulate import KNOWN_RIG, START_NS
 
 EPILOG = """\

@@ -34,8 +34,7 @@ from scipy.optimize import minimize_scalar, nnls
 from benchmark.harness import DATA_VARIABLE
 from benchmark.trial import fed
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation import Estimate, Prior
 from fden_ros.core.outputs import ContactSummary, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError

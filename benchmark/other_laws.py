@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fden_ros.simulation.model import FdenModel, FloatArray
-from fden_ros.simulation.tissue import Column, Relaxation, Tissue
+from fden_ros.simulation import Column, FdenModel, FloatArray, Relaxation, Tissue
 
 #: Terms of the series of one-dimensional consolidation; the next is 1e-4 of the first.
 _CONSOLIDATION_TERMS = 50

@@ -23,8 +23,7 @@ from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most,
 from benchmark.score import rms, share
 from benchmark.trial import identified, last_summaries
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.estimation import Estimate, ended
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.planning.forecast import Forecast
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
 from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
 from benchmark.score import NAMES, TWO_SIDED_95, mean_of, rms, share
-from fden_ros.control.prediction import Prediction, Predictor
-from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.control import Prediction, Predictor, TissueMemory
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate, StateIndex
+from fden_ros.core.estimation import Estimate, StateIndex
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.parameters import check, pipeline_config
 

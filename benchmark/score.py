@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import Flag
 
 #: Of the parameters, in the order of errors and deviations.

@@ -17,9 +17,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import Output
-from fden_ros.core.streams.frames import StaticLinks
-from fden_ros.core.streams.samples import Pair
-from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.core.streams import Pair, StaticLinks, Synchronizer
 from simulation.scenario import Scenario
 from simulation.simulate import simulate
 

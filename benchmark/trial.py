@@ -17,8 +17,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS, Position
-from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.core.streams import NANOSECONDS, Position, Synchronizer
 from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import START_NS, Recording
 

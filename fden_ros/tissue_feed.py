@@ -25,10 +25,9 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.control.prediction import Prediction, Predictor
-from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.control import LiveTissue, Prediction, Predictor, Reading, Refusal
+from fden_ros.core.estimation import ParameterSet
+from fden_ros.core.law import Geometry
 from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError

@@ -14,7 +14,7 @@ from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from fden_ros.parameters.files import live_topics, read_parameter_file
+from fden_ros.parameters import live_topics, read_parameter_file
 
 
 def _check_parameters(context: LaunchContext) -> None:

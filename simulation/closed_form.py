@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from scipy.special import gamma, roots_jacobi, roots_legendre
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.model import FdenModel, FloatArray
+from fden_ros.simulation import FdenModel, FloatArray
 
 _JACOBI_NODES = 24
 # Gauss-Legendre takes over at 0.15 of the piece's length past its end: the kernel's singularity

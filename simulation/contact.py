@@ -41,7 +41,7 @@ from scipy.optimize import brentq
 from scipy.special import gamma
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.model import FdenModel, FloatArray
+from fden_ros.simulation import FdenModel, FloatArray
 from simulation.closed_form import (
     Move,
     Piece,

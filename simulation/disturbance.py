@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fden_ros.errors import InputError
-from fden_ros.simulation.model import FloatArray
+from fden_ros.simulation import FloatArray
 from simulation.trajectory import require_not_negative, require_positive
 
 #: Slower than this [m/s] the probe counts as at rest: there is no friction and no vibration.

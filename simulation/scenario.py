@@ -26,7 +26,7 @@ import yaml
 
 from fden_ros.errors import InputError
 from fden_ros.shipped import all_shipped, shipped
-from fden_ros.simulation.model import FdenModel, FloatArray
+from fden_ros.simulation import FdenModel, FloatArray
 from simulation.contact import Stiffening
 from simulation.disturbance import Disturbances
 from simulation.elastic_layer import stiffening

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fden_ros.simulation.model import FdenModel, FloatArray
+from fden_ros.simulation import FdenModel, FloatArray
 from simulation.closed_form import Move, SineMove
 from simulation.contact import ContactHistory, contacts_of_moves
 from simulation.disturbance import Disturbances, Phases, quantised

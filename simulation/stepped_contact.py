@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from fden_ros.simulation.model import FdenModel, FloatArray
-from fden_ros.simulation.tissue import Column, Tissue
+from fden_ros.simulation import Column, FdenModel, FloatArray, Tissue
 from simulation.closed_form import Move
 from simulation.disturbance import Disturbances, Phases, with_backlash
 

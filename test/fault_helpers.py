@@ -18,7 +18,7 @@ import numpy as np
 from pipeline_helpers import Item, begun, items_of, parameters_of, summaries_of
 from scipy.spatial.transform import Rotation
 
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import (
     WITHHELD,
     Classification,
@@ -29,7 +29,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
 from simulation.simulate import Recording, simulate
 from simulation.trajectory import Palpation, RampHold

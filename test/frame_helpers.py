@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from tf2_msgs.msg import TFMessage
 
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.recording.qos import LATCHED, RELIABLE
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp

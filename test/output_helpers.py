@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 
 ESTIMATE = Estimate(

@@ -39,11 +39,11 @@ from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
 from benchmark.questions import read_answers, read_questions, write_questions
 from benchmark.score import Judged, Share
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, Message
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import ramp_scenario
 

@@ -455,7 +455,7 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
 
 
 def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
-    from fden_ros.core.estimation.estimator import Innovation
+    from fden_ros.core.estimation import Innovation
 
     def verdict(values: np.ndarray) -> str:
         innovations = Innovations()

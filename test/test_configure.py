@@ -33,8 +33,7 @@ from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.transforms import FrameTree
 from fden_ros.nodes import guide
 from fden_ros.nodes.running import written_remaps
-from fden_ros.parameters import read_parameter_file
-from fden_ros.parameters.files import live_topics
+from fden_ros.parameters import live_topics, read_parameter_file
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,

@@ -16,17 +16,14 @@ from numpy.typing import NDArray
 from output_helpers import ESTIMATE
 from property_helpers import first
 
-from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
-from fden_ros.control.live_tissue import LiveTissue, Reading
+from fden_ros.control import ForceControlConfig, ForceController, Gains, LiveTissue, Reading
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import apparent_stiffness_factor
+from fden_ros.core.law import apparent_stiffness_factor
 from fden_ros.core.outputs import ApparentStiffness, Flag, Output, Phase, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.rig import Command, Rig, RigConfig
-from fden_ros.simulation.tissue import Column, Inclusion
+from fden_ros.simulation import Column, Command, FdenModel, Inclusion, Rig, RigConfig
 from simulation.simulate import EXACT
 
 # The force controller in closed loop: gains scheduled by the live stiffness, and fixed ones

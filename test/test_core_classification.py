@@ -16,23 +16,24 @@ from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, su
 from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
 
-from fden_ros.core.classification.classifier import (
+from fden_ros.core.classification import (
     UNKNOWN,
     ClassProbabilities,
+    DecisionConfig,
     Tissue,
     TissueLibrary,
-    classify,
     likelihood_of,
     log_evidence,
 )
-from fden_ros.core.classification.labelling import Decider, DecisionConfig
+from fden_ros.core.classification.classifier import classify
+from fden_ros.core.classification.labelling import Decider
 from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
     compare,
     stack,
 )
-from fden_ros.core.estimation.estimator_config import Prior
-from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
+from fden_ros.core.estimation import Prior
+from fden_ros.core.law import LogStiffness, log_stiffness
 from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config

@@ -14,9 +14,8 @@ import pytest
 from pipeline_helpers import items_of
 from property_helpers import counts
 
-from fden_ros.core.contact.detector import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.streams.samples import Pair
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.streams import Pair, SynchronizeConfig, Synchronizer
 from simulation.scenario import Tissue, ramp_scenario
 from simulation.simulate import START_NS, simulate
 

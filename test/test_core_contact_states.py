@@ -20,7 +20,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.site import Site
 from fden_ros.core.site_contact import Contact, Event, State
 from fden_ros.core.standing import SiteState
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 
 LATE = {"site.timeout": 0.3}
 

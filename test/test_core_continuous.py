@@ -27,9 +27,9 @@ from fden_ros.core import (
     Status,
     TissueState,
 )
-from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Prior
-from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
+from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, ParameterSet, Prior
+from fden_ros.core.oscillation import Stiffness
+from fden_ros.core.oscillation.local_stiffness import LocalStiffness
 from fden_ros.core.oscillation.palpation import palpated as told_by
 
 START_NS = 5_000_000_000

@@ -29,19 +29,19 @@ from benchmark.measured import identify as identify_measured
 from benchmark.other_laws import Law, springpot
 from benchmark.trial import fed, last_summaries
 from benchmark.trial import identified as run_through
-from fden_ros.control.live_tissue import LiveTissue, Refusal
-from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.control import LiveTissue, Refusal, TissueMemory
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimate import (
+from fden_ros.core.estimation import (
     KEYS,
     PUBLISHED,
     Estimate,
+    EstimatorConfig,
     LawError,
     ParameterSet,
+    Prior,
     StateIndex,
 )
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
-from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.law import FlatPunch
 from fden_ros.core.lift_off import LiftOff
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.remarks import remarks
@@ -49,7 +49,7 @@ from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row
 from fden_ros.report.table import status_words
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import (
     DisplacementSensor,

@@ -14,25 +14,23 @@ from hypothesis import strategies as st
 from property_helpers import examples
 from scipy.special import gamma
 
-from fden_ros.core.law.characteristic import (
-    apparent_stiffness_factor,
-    elastic_response,
-    log_phi,
-    log_strain,
-    phi,
-    strain_of_phi,
-)
-from fden_ros.core.law.geometry import (
+from fden_ros.core.law import (
     FlatPunch,
     PassThrough,
     Sphere,
+    StressMemory,
     TorsionalRheometer,
+    apparent_stiffness_factor,
+    elastic_response,
+    hayes_factor,
+    log_phi,
+    log_strain,
+    memory_weights,
+    phi,
+    strain_of_phi,
 )
-from fden_ros.core.law.layer import hayes_factor
-from fden_ros.core.law.relaxation import memory_weights
-from fden_ros.core.law.stress_memory import StressMemory
-from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
-from fden_ros.simulation.model import FdenModel
+from fden_ros.core.oscillation import ComplexModulusMeter
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import SineMove, moves_of_knots, stress_of_moves
 
 # The constitutive law: smooth at the boundary strain, odd, and what its derivatives say

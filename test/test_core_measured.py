@@ -19,12 +19,12 @@ import pytest
 from pipeline_helpers import begun
 from property_helpers import counts
 
-from fden_ros.control.live_tissue import LiveTissue
+from fden_ros.control import LiveTissue
 from fden_ros.core import ContactSummary, Pipeline, Status, TissueState
 from fden_ros.core.measured_contacts import MeasuredContacts
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays, MeasuredStiffness
 from fden_ros.core.outputs import Output
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 

@@ -18,24 +18,27 @@ from scipy.optimize import minimize
 from test_core_posterior import LAW_OFF, points_of, posterior_of, pressed
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import proposals
-from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation import (
+    Block,
+    Component,
+    Estimate,
+    EstimatorConfig,
+    PosteriorEstimator,
+    Reservations,
+    ended,
+    proposals,
+    reserved,
+)
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
-from fden_ros.core.estimation.mixture import Component, MaybeZero, with_held
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.estimation.mixture import MaybeZero, with_held
 from fden_ros.core.estimation.posterior import NEARLY_FOUND
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
 from fden_ros.core.estimation.search import Search
 from fden_ros.core.estimation.unknowns import LOG_GN
-from fden_ros.core.law.geometry import FlatPunch
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.tissue import Column, Tissue
+from fden_ros.core.law import FlatPunch
+from fden_ros.simulation import Column, FdenModel, Tissue
 
 RATE, PER_BLOCK, NOISE = 250.0, 5, 3.0
 GEOMETRY = FlatPunch(3.14e-4, 0.02)

@@ -14,10 +14,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from pipeline_helpers import LIVER
 from scipy.special import gamma
 
-from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
-from fden_ros.core.law.geometry import PassThrough, Sphere
-from fden_ros.core.law.relaxation import memory_weights
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig
+from fden_ros.core.law import PassThrough, Sphere, memory_weights
 from fden_ros.core.paper_filter import FractionalStressEstimator
 
 PRIOR = replace(LIVER, fractional_order_sd=0.0)

@@ -11,8 +11,7 @@ from functools import partial
 import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 
-from fden_ros.core.estimation import search
-from fden_ros.core.estimation.parts import Advanced, Parts
+from fden_ros.core.estimation import Advanced, Parts, search
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from simulation.scenario import ramp_scenario
 from simulation.simulate import simulate

@@ -32,7 +32,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 from simulation.scenario import DisplacementSensor, Site, ramp_scenario
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, Palpation, RampHold, Trajectory

@@ -21,11 +21,11 @@ from hypothesis import strategies as st
 from pipeline_helpers import Item
 from property_helpers import examples
 
-from fden_ros.core.contact.detector import ContactDetector
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.contact import ContactDetector
+from fden_ros.core.estimation import PosteriorEstimator
 from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.core.streams import Synchronizer
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
 from simulation.bag import write_recording

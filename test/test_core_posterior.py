@@ -17,24 +17,28 @@ from scipy.optimize import least_squares, minimize
 
 from benchmark.score import rms
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import (
+    NOTHING_UNKNOWN,
+    EstimatorConfig,
+    ParameterSet,
+    Points,
+    Uncertainty,
+    ended,
+)
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.linear_range import LinearRange
-from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
-from fden_ros.core.estimation.record import MOST_BLOCKS, Points, Record, Sample
+from fden_ros.core.estimation.record import MOST_BLOCKS, Record, Sample
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
-from fden_ros.core.law.characteristic import phi
-from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
-from fden_ros.simulation.model import FdenModel
+from fden_ros.core.law import FlatPunch, Geometry, Sphere, phi
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import load_scenario
 

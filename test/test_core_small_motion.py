@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
-from fden_ros.core.estimation.mixture import Component
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Component, EstimatorConfig, log_stiffness
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Record
-from fden_ros.core.estimation.small_motion import SmallMotion, log_stiffness
+from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN, unknowns_of
-from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
+from fden_ros.core.law import FlatPunch, Geometry, Sphere
 
 FLAT, SPHERE = FlatPunch(area=1e-4, thickness=0.02), Sphere(radius=0.01)
 THIN = Sphere(radius=0.01, thickness=0.015)

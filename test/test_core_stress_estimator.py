@@ -15,13 +15,11 @@ from property_helpers import counts, first
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from fden_ros.core.estimation.estimator import Block
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, PosteriorEstimator
 from fden_ros.core.estimation.whiteness import contradicts
-from fden_ros.core.law.geometry import PassThrough
+from fden_ros.core.law import PassThrough
 from fden_ros.core.outputs import Flag, TissueState
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import load_scenario
 from simulation.simulate import simulate

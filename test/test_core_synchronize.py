@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from property_helpers import examples
 
-from fden_ros.core.streams.guard import GapGuard
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams import GapGuard, SynchronizeConfig, Synchronizer
 
 #: No test depends on the time it takes, nor on chance.
 steady = examples(100)

@@ -47,6 +47,8 @@ from fden_ros.core import (
 )
 from fden_ros.core.contact import air
 from fden_ros.core.estimation import (
+    Estimate,
+    ParameterSet,
     claims,
     law_error,
     maximum,
@@ -56,10 +58,9 @@ from fden_ros.core.estimation import (
     unknowns,
     whiteness,
 )
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
 from fden_ros.core.estimation.proposals import change
 from fden_ros.core.outputs import ContactSummary, Output
-from fden_ros.core.streams.samples import Reason
+from fden_ros.core.streams import Reason
 from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.offline.session import gather
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameters, read_parameter_file

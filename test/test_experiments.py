@@ -19,7 +19,7 @@ from fden_ros.experiments.creep import fit_creep
 from fden_ros.experiments.dynamic import fit_complex_modulus
 from fden_ros.experiments.kinds import Options, fit_file
 from fden_ros.experiments.nonlinearity import fit_nonlinearity
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 
 G, GN, ALPHA = 545.0, 8.55, 0.131
 MODEL = FdenModel(G, GN, ALPHA)

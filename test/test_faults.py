@@ -41,7 +41,7 @@ from scipy.spatial.transform import Rotation
 
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 TABLE = (Path(__file__).parent.parent / "docs" / "faults.md").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from pipeline_helpers import refusal
 
 import fden_ros.offline.labelled as labelled
 from fden_ros.cli import main
-from fden_ros.core.classification.classifier import UNKNOWN, log_evidence, posterior
+from fden_ros.core.classification import UNKNOWN, log_evidence, posterior
 from fden_ros.errors import InputError
 from fden_ros.offline.labelled import Source, read_source
 from fden_ros.offline.replay import replay

@@ -33,9 +33,9 @@ from rich.console import Console
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 
-from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.control import LiveTissue, Reading, Refusal
+from fden_ros.core.estimation import ParameterSet
+from fden_ros.core.law import FlatPunch
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ContactSummary,
@@ -49,16 +49,13 @@ from fden_ros.core.outputs import (
     stale,
 )
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.planning.region import Presses, Region
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.ros.topics import latched
-from fden_ros.simulation import phantom
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.rig import Command, Rig, RigConfig
-from fden_ros.simulation.tissue import Column
+from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig, phantom
 from fden_ros.tissue_feed import TissueFeed
 from simulation.simulate import EXACT
 

@@ -26,8 +26,8 @@ from fden_ros.core import (
     TissueState,
 )
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
-from fden_ros.core.law.geometry import FlatPunch, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
+from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.parameters import (
     PARAMETERS,
     Parameters,

@@ -14,7 +14,7 @@ from command_helpers import answer, fden
 from pipeline_helpers import LIVER_PARAMETERS, begun
 
 from benchmark.trial import fed, through
-from fden_ros.control.live_tissue import LiveTissue, Refusal
+from fden_ros.control import LiveTissue, Refusal
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check, pipeline_config

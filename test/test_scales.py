@@ -13,7 +13,7 @@ import pytest
 from command_helpers import fden
 from pipeline_helpers import of_columns, summaries_of
 
-from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation import Prior
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.core.pipeline import Pipeline
 from simulation.simulate import KNOWN_RIG

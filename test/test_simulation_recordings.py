@@ -17,7 +17,7 @@ import yaml
 from pipeline_helpers import refusal
 
 from fden_ros.parameters import check
-from fden_ros.simulation.model import FdenModel
+from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.disturbance import (
     Disturbances,

@@ -26,8 +26,7 @@ from benchmark.other_laws import (
     stress_of_law,
 )
 from fden_ros.ros.inputs import stamp_ns
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.tissue import Column, Inclusion, Tissue
+from fden_ros.simulation import Column, FdenModel, Inclusion, Tissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
 from simulation.contact import Stiffening, contacts_of_moves
 from simulation.trajectory import Approach, Path, RampHold

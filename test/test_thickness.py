@@ -14,7 +14,7 @@ import pytest
 import yaml
 from command_helpers import answer
 
-from fden_ros.core.law.geometry import FlatPunch, Sphere
+from fden_ros.core.law import FlatPunch, Sphere
 from fden_ros.offline.thickness import assumed
 from simulation.bag import write_recording
 from simulation.elastic_layer import stiffening

@@ -18,13 +18,17 @@ from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
 
 from fden_ros.core.apparent_stiffness import apparent_stiffness_of
-from fden_ros.core.classification.classifier import ClassProbabilities
+from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.budget import SOURCES, Budget
-from fden_ros.core.estimation.estimate import ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.geometry import FlatPunch
+from fden_ros.core.estimation import (
+    Budget,
+    EstimatorConfig,
+    ParameterSet,
+    RigKnowledge,
+    Uncertainty,
+)
+from fden_ros.core.estimation.budget import SOURCES
+from fden_ros.core.law import FlatPunch
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,

@@ -23,8 +23,7 @@ from fden_ros.configure.finding import Finding
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey
 from fden_ros.core.arrays import Array
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.tissue import Column, Tissue
+from fden_ros.simulation import Column, FdenModel, Tissue
 
 Generator = np.random.Generator
 

@@ -127,8 +127,7 @@ def add_config_options(parser: argparse.ArgumentParser) -> None:
 
 def parameters_of(args: argparse.Namespace) -> Parameters:
     """Return the checked parameters of every ``--config`` for ``--node``, and of sizes given."""
-    from fden_ros.parameters import read_parameter_files
-    from fden_ros.parameters.files import open_axes
+    from fden_ros.parameters import open_axes, read_parameter_files
     from fden_ros.shipped import shipped
 
     files = list(args.config or [])

@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
 def _planning(folder: Path, usual: Path, prior: Path) -> Path:
     """Write the nodes' parameters with which a phantom is pressed as a planner proposes."""
     from fden_ros.nodes import tissue_simulator
-    from fden_ros.parameters.files import read_sections
+    from fden_ros.parameters import read_sections
 
     simulated = {name: default for name, default, _ in tissue_simulator.PARAMETERS}
     for section in read_sections(usual):

@@ -18,7 +18,7 @@ from fden_ros.errors import InputError
 from fden_ros.written import written
 
 if TYPE_CHECKING:
-    from fden_ros.core.classification.classifier import TissueLibrary
+    from fden_ros.core.classification import TissueLibrary
     from fden_ros.offline.labelled import Source
     from fden_ros.parameters import Parameters
     from fden_ros.tissues.training import Check, Contacts, Spread

@@ -22,11 +22,10 @@ from fden_ros.configure.session import Contact, Session
 from fden_ros.configure.statistics import pooled
 from fden_ros.core import ContactSummary, Pipeline
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, EstimatorConfig, Prior
-from fden_ros.core.estimation.unknowns import LINEAR_DELAY
-from fden_ros.core.oscillation.palpation_meter import PalpationMeter
+from fden_ros.core.estimation import LINEAR_DELAY, NOTHING_UNKNOWN, EstimatorConfig, Prior
+from fden_ros.core.oscillation import PalpationMeter
 from fden_ros.core.outputs import Output
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
 #: Standard deviation of the delay before the recording tells [s]: drivers that stamp apart are up

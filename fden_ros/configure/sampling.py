@@ -15,8 +15,8 @@ from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, pooled
 from fden_ros.core.arrays import Array
-from fden_ros.core.contact.air import ContactConfig, least_noise
-from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
+from fden_ros.core.contact import ContactConfig, least_noise
+from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.parameter import TINY
 from fden_ros.core.strokes import REMEDY
 from fden_ros.parameters import Value

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.streams.frames import chain_up
+from fden_ros.core.streams import chain_up
 from fden_ros.errors import InputError
 from fden_ros.ros.inputs import stamp_ns
 

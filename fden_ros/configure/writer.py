@@ -15,8 +15,7 @@ from fden_ros.configure.finding import SUBJECTS, Finding
 from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
 from fden_ros.errors import InputError
-from fden_ros.parameters import PARAMETERS, Value
-from fden_ros.parameters.files import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS
+from fden_ros.parameters import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS, PARAMETERS, Value
 from fden_ros.recording.source import SELECTION_LINE, Selection
 from fden_ros.recording.table import stated_columns
 

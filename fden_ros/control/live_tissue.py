@@ -18,13 +18,11 @@ from statistics import median
 
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
-from fden_ros.core.estimation.estimator_config import NOTHING_UNKNOWN, Uncertainty
-from fden_ros.core.law.geometry import FlatPunch, Geometry
-from fden_ros.core.law.relaxation import SHORTEST_STEP
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
+from fden_ros.core.law import SHORTEST_STEP, FlatPunch, Geometry
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 
 #: With one of these the numbers may be wrong in a way that their deviations do not tell.
 REFUSED_FLAGS = (

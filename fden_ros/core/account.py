@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
-from fden_ros.core.classification.labelling import Answer, Labeller, Labelling
+from fden_ros.core.classification import Answer, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.oscillation.complex_modulus import ComplexModulusMeter
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import Estimate
+from fden_ros.core.oscillation import ComplexModulusMeter
 from fden_ros.core.outputs import (
     WITHHELD,
     ApparentStiffness,
@@ -33,8 +33,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site
-from fden_ros.core.streams.guard import force_at_limit
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS, force_at_limit
 
 
 @dataclass(frozen=True)

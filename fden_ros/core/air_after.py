@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fden_ros.core.contact.air import SLOW_NS
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.learned_scales import Evidence, drift_evidence
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.contact import SLOW_NS, Onset
+from fden_ros.core.estimation import RigKnowledge, drift_evidence
 from fden_ros.core.outputs import Flag
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
 #: it touched [ns]: by then what stuck has let go, and a sensor that creeps has hardly recovered.
@@ -44,7 +42,7 @@ class AirChange(NamedTuple):
         """Whether the force has fallen by more than noise and drift explain."""
         return self.deviations < -_CONTRADICTION
 
-    def verdict(self, rig: RigKnowledge | None) -> tuple[Flag, float, Evidence | None]:
+    def verdict(self, rig: RigKnowledge | None) -> tuple[Flag, float, tuple[float, ...] | None]:
         """Return what it says of the contact: flag, factor of the variance, and of the drift.
 
         `rig`: what was known before, of which the drift is learned; None: it is not.

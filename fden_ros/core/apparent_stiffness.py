@@ -9,10 +9,8 @@ import math
 
 import numpy as np
 
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.small_motion import log_stiffness
-from fden_ros.core.law.apparent_stiffness import ApparentStiffness, log_stiffness_at
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.estimation import Estimate, log_stiffness
+from fden_ros.core.law import ApparentStiffness, Geometry, log_stiffness_at
 
 #: Deviation over the stiffness above which it is not known [1]: then it says no more than a guess
 #: of a factor.

@@ -9,7 +9,7 @@ from collections import deque
 from typing import NamedTuple
 
 from fden_ros.core.outputs import Phase
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 
 #: A block is complete at this part of its duration, so that jitter does not add a sample.
 _COMPLETE = 0.95

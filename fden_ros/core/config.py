@@ -8,15 +8,19 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, field
 
-from fden_ros.core.classification.classifier import TissueLibrary
-from fden_ros.core.classification.labelling import DecisionConfig, Labeller
-from fden_ros.core.classification.relative import RelativeConfig, Surroundings
-from fden_ros.core.contact.detector import ContactConfig
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.law.geometry import Geometry, GeometryConfig
+from fden_ros.core.classification import (
+    DecisionConfig,
+    Labeller,
+    RelativeConfig,
+    Surroundings,
+    TissueLibrary,
+)
+from fden_ros.core.contact import ContactConfig
+from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.law import Geometry, GeometryConfig
 from fden_ros.core.parameter import parameter
 from fden_ros.core.plausibility import PlausibilityConfig
-from fden_ros.core.streams.synchronize import SynchronizeConfig
+from fden_ros.core.streams import SynchronizeConfig
 
 #: Two touches this part of the probe's radius apart [1] are of two sites, which share most of
 #: their tissue but not its memory: so a scan of 3 mm has a site at each touch. Positions are known

@@ -12,9 +12,8 @@ from dataclasses import replace
 from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
-from fden_ros.core.contact.air import least_noise
-from fden_ros.core.contact.detector import ContactDetector, Onset, Release
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.contact import ContactDetector, Onset, Release, least_noise
+from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import (
     ContactSummary,
     Flag,
@@ -29,7 +28,7 @@ from fden_ros.core.plausibility import Plausibility, Tilt
 from fden_ros.core.site import prepare
 from fden_ros.core.site_contact import Contact
 from fden_ros.core.sites import Sites
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 from fden_ros.core.strokes import Strokes
 
 

@@ -20,11 +20,15 @@ from collections import Counter
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.oscillation.complex_modulus import LEAST_AMPLITUDE, ComplexModulus
-from fden_ros.core.oscillation.local_stiffness import Stiffness
-from fden_ros.core.oscillation.palpation import Palpated
-from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
+from fden_ros.core.estimation import RigKnowledge
+from fden_ros.core.oscillation import (
+    LEAST_AMPLITUDE,
+    ComplexModulus,
+    Measured,
+    Palpated,
+    PalpationMeter,
+    Stiffness,
+)
 from fden_ros.core.outputs import (
     ContactSummary,
     DynamicModulus,
@@ -36,7 +40,7 @@ from fden_ros.core.outputs import (
     order_source,
 )
 from fden_ros.core.plausibility import stands_against
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, lateral_distance
+from fden_ros.core.streams import NANOSECONDS, Pair, Position, lateral_distance
 
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0

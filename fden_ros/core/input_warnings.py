@@ -9,8 +9,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from fden_ros.core.plausibility import of_stream
-from fden_ros.core.streams.samples import Pair, Reason
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams import Pair, Reason, SynchronizeConfig, Synchronizer
 
 #: Samples that are usually without a partner when two streams begin.
 _USUAL_UNPAIRED = 2

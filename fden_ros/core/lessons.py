@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimator import Estimator
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation import Estimator, RigKnowledge
 
 
 class Lessons:

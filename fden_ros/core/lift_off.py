@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.characteristic import apparent_stiffness_factor, elastic_responses
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.stress_memory import StressMemory
+from fden_ros.core.estimation import Estimate
+from fden_ros.core.law import Geometry, StressMemory, apparent_stiffness_factor, elastic_responses
 
 #: Multiple of the release force beyond which the probe meets the tissue; it leaves it below 1,
 #: so that noise does neither.

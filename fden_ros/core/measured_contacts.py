@@ -16,7 +16,7 @@ from fden_ros.core.measured_stiffness import (
     MeasuredStiffness,
     StiffnessMeter,
 )
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 
 #: Contacts that are remembered: the summary of one may come in the next.
 _CONTACTS_KEPT = 3

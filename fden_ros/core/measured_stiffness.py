@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 
 #: Pieces are at least so long [m]: a stroke of 0.1 mm has 20. Of a smaller probe they are this
 #: part of its length at most, 5 um of 20 mm.

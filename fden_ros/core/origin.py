@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.contact import Onset
+from fden_ros.core.streams import Pair
 
 #: The surface found at the touch starts the estimator; its standard deviation is multiplied by
 #: this, since the estimator sees those samples again.

@@ -10,17 +10,19 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.classification.labelling import Decided, Decision
-from fden_ros.core.classification.relative import Comparison
-from fden_ros.core.estimation.estimate import Budget, Estimate, ParameterSet
-from fden_ros.core.estimation.estimator import Innovation
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.apparent_stiffness import ApparentStiffness as ApparentStiffness
+from fden_ros.core.classification import ClassProbabilities, Comparison, Decided, Decision
+from fden_ros.core.estimation import (
+    Budget,
+    Estimate,
+    EstimatorConfig,
+    Innovation,
+    ParameterSet,
+    RigKnowledge,
+)
+from fden_ros.core.law import ApparentStiffness as ApparentStiffness
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
-from fden_ros.core.oscillation.complex_modulus import ComplexModulus
-from fden_ros.core.streams.samples import Position
+from fden_ros.core.oscillation import ComplexModulus
+from fden_ros.core.streams import Position
 
 
 class Status(enum.IntEnum):

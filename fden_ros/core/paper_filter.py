@@ -37,14 +37,26 @@ import math
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.claims import converged, determined, probability_beyond
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.mixture import Component, moments, positive
-from fden_ros.core.law.characteristic import MAX_EXPONENT, elastic_response
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import memory_slopes, memory_weights
+from fden_ros.core.estimation import (
+    Block,
+    Component,
+    Estimate,
+    Estimator,
+    EstimatorConfig,
+    Innovation,
+    converged,
+    determined,
+    moments,
+    positive,
+    probability_beyond,
+)
+from fden_ros.core.law import (
+    MAX_EXPONENT,
+    Geometry,
+    elastic_response,
+    memory_slopes,
+    memory_weights,
+)
 
 #: Places in the state of a member, which has no alpha: not those of StateIndex.
 _LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)

@@ -17,18 +17,24 @@ from typing import Any
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
 from fden_ros.core.measured_contacts import MeasuredContacts
 from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outlet import Outlet
 from fden_ros.core.outputs import Failure, Flag, Output, failure_of
 from fden_ros.core.plausibility import stands_against
-from fden_ros.core.streams.frames import StaticLinks
-from fden_ros.core.streams.guard import GapGuard
-from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
-from fden_ros.core.streams.synchronize import Synchronizer
+from fden_ros.core.streams import (
+    NANOSECONDS,
+    GapGuard,
+    Pair,
+    Position,
+    Quaternion,
+    StaticLinks,
+    Synchronizer,
+    Transform,
+    Vector,
+)
 
 
 class Pipeline:

@@ -14,13 +14,11 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.estimator_config import Prior
-from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import Prior
+from fden_ros.core.law import FlatPunch, Geometry, elastic_response
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams.guard import USUAL_SAMPLES, StreamGuard
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS, USUAL_SAMPLES, StreamGuard
 from fden_ros.written import written
 
 

@@ -14,22 +14,27 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.estimate import Budget, Estimate
-from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
-from fden_ros.core.estimation.estimator_config import Observation
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.law.relaxation import SHORTEST_STEP, memory_weights
-from fden_ros.core.law.stress_memory import StressMemory
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import (
+    Block,
+    Budget,
+    Estimate,
+    Estimator,
+    Innovation,
+    Observation,
+    PosteriorEstimator,
+    Reservations,
+    RigKnowledge,
+    reserved,
+)
+from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
 from fden_ros.core.lessons import Lessons
 from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
 from fden_ros.core.outputs import Flag
 from fden_ros.core.paper_filter import FractionalStressEstimator
 from fden_ros.core.standing import Standing
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
 
 #: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a

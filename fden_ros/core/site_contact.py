@@ -14,13 +14,12 @@ from dataclasses import replace
 
 from fden_ros.core.account import Account, Common
 from fden_ros.core.air_after import AirAfter
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.learned_scales import Evidence
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Output
 from fden_ros.core.site import Site
 from fden_ros.core.standing import SiteState
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: A first contact that stays below this multiple of the release force is faint.
 _FAINT = 4.0
@@ -110,7 +109,7 @@ class Contact:
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
-        self._drift: Evidence | None = None
+        self._drift: tuple[float, ...] | None = None
 
     @property
     def flags(self) -> Flag:

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.contact import Onset
+from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import Flag
 from fden_ros.core.site import Site, dips
 

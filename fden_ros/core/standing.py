@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import enum
 
-from fden_ros.core.estimation.claims import Reservations, reserved
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation import Estimate, EstimatorConfig, Reservations, reserved
 from fden_ros.core.outputs import WITHHELD, Flag
 
 

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from fden_ros.core.contact.detector import Onset
-from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.contact import Onset
+from fden_ros.core.oscillation import PalpationFrequency
+from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: A probe has lifted where it was off the surface by this part of its last depth behind it; by the
 #: second where its touch was not seen. The surface of a stroke that never lifts is found where the

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.streams.samples import Pair, Position, lateral_distance
+from fden_ros.core.streams import Pair, Position, lateral_distance
 
 #: A probe is dragged beyond this multiple of the distance of two sites, so that noise of the
 #: position drags none.

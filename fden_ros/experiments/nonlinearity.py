@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import digamma, gamma, gammaln
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import log_phi, log_strain
+from fden_ros.core.law import log_phi, log_strain
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import csv_files, read_table
 from fden_ros.experiments.creep import CreepTest, fit_creep, read_creep_test

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import digamma, gammaln
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import log_phi
+from fden_ros.core.law import log_phi
 from fden_ros.errors import InputError
 from fden_ros.experiments.columns import Table, csv_files, read_table
 from fden_ros.experiments.kinds import Options

@@ -20,8 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
-from fden_ros.control.force_control import ForceControlConfig, ForceController
-from fden_ros.control.live_tissue import Refusal
+from fden_ros.control import ForceControlConfig, ForceController, Refusal
 from fden_ros.errors import InputError
 from fden_ros.nodes.planned_presses import PlannedPresses
 from fden_ros.nodes.running import declared, run_node

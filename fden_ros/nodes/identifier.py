@@ -45,9 +45,9 @@ from fden_ros.parameters import (
     Parameter,
     Parameters,
     check,
+    identifier_values,
     pipeline_config,
 )
-from fden_ros.parameters.files import identifier_values
 from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.topics import OUTPUT_TOPICS
 

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams.samples import Reason
+from fden_ros.core.streams import Reason
 from fden_ros.ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
 from fden_ros.ros.messages import type_name
 

@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
 from fden_ros.nodes.programs import ignore_signals, note_signals
-from fden_ros.parameters.files import (
+from fden_ros.parameters import (
     Section,
     check_types,
     live_topics,

@@ -22,7 +22,7 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 
-from fden_ros.core.estimation.parts import Advanced
+from fden_ros.core.estimation import Advanced
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Input, Taken, loss_counter, taker

@@ -22,9 +22,7 @@ from sensor_msgs.msg import JointState
 from fden_ros.errors import InputError
 from fden_ros.nodes.running import declared, run_node
 from fden_ros.ros.messages import to_stamp
-from fden_ros.simulation.model import FdenModel
-from fden_ros.simulation.rig import Command, Rig, RigConfig
-from fden_ros.simulation.tissue import Column, Inclusion
+from fden_ros.simulation import Column, Command, FdenModel, Inclusion, Rig, RigConfig
 
 #: Name, default and meaning, with its unit, of every parameter.
 PARAMETERS: tuple[tuple[str, Any, str], ...] = (

@@ -10,12 +10,10 @@ import math
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimate import Budget, Estimate
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.parts import Parts, ended
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.estimation import Budget, Estimate, EstimatorConfig, Parts, ended
+from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
 from fden_ros.planning.motion import Sensors
 from fden_ros.planning.plan import Plan, Search

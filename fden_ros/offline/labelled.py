@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fden_ros.core.classification.classifier import UNKNOWN
+from fden_ros.core.classification import UNKNOWN
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource
 from fden_ros.errors import InputError
 from fden_ros.offline.batch import find_bags

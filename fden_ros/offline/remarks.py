@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimate import Estimate, ParameterSet
+from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.offline.advice import shortfall
 from fden_ros.written import written

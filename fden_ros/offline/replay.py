@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.estimation.estimate import KEYS, Budget, Estimate
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation import KEYS, Budget, Estimate, RigKnowledge
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from fden_ros.core.estimation.estimate import KEYS
+from fden_ros.core.estimation import KEYS
 from fden_ros.core.outputs import ContactSummary
 from fden_ros.offline.replay import MEASURED_KEYS, MEASURED_PARTS, contact_object
 

@@ -15,15 +15,15 @@ from scipy.stats import chi2
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimator import Innovation
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.estimation import Innovation
+from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import (
     ContactSummary,
     Output,
     Status,
     TissueState,
 )
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.offline.signals import Envelope, signals_of
 from fden_ros.parameters import Parameters, pipeline_config

@@ -12,9 +12,16 @@ from typing import Any, cast
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.streams.rotation import Quaternion, Transform
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Sink
-from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
+from fden_ros.core.streams import (
+    NANOSECONDS,
+    Pair,
+    Position,
+    Quaternion,
+    Sink,
+    SynchronizeConfig,
+    Synchronizer,
+    Transform,
+)
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.source import Source
 

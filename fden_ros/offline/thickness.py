@@ -11,8 +11,7 @@ from dataclasses import replace
 
 from scipy.optimize import brentq
 
-from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
-from fden_ros.core.law.layer import hayes_factor
+from fden_ros.core.law import FlatPunch, Geometry, Sphere, hayes_factor
 from fden_ros.core.plausibility import UNKNOWN_AREA
 from fden_ros.planning.remedies import quantity
 

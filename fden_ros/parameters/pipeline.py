@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.law.geometry import TorsionalRheometer
-from fden_ros.core.streams.frames import FramesConfig
-from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
+from fden_ros.core.estimation import Uncertainty
+from fden_ros.core.law import TorsionalRheometer
+from fden_ros.core.streams import FramesConfig, ToolPathConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.parameter import Vector
 from fden_ros.parameters.table import Parameters

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.law.geometry import GeometryConfig
+from fden_ros.core.law import GeometryConfig
 from fden_ros.core.parameter import parameter
-from fden_ros.core.streams.tool import ToolWeight
+from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.parameter import Parameter, Value, Vector
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.parts import Parts, ended
+from fden_ros.core.estimation import Parts, ended
 from fden_ros.errors import InputError
 from fden_ros.planning.forecast import Expected, Forecast, Stated
 from fden_ros.planning.motion import FREQUENCY, Motion, Sensors

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation.estimate import Budget
-from fden_ros.core.law.characteristic import elastic_response, strain_of_phi
-from fden_ros.core.law.geometry import FlatPunch, Geometry, Sphere
+from fden_ros.core.estimation import Budget
+from fden_ros.core.law import FlatPunch, Geometry, Sphere, elastic_response, strain_of_phi
 from fden_ros.written import written
 
 #: Sources of a budget in words.

@@ -13,10 +13,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator_config import Prior
-from fden_ros.core.estimation.mixture import Component, moments
-from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
+from fden_ros.core.estimation import Component, Estimate, Prior, moments
+from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Root of x^5 = x + 1: its powers fill four dimensions evenly (Roberts 2018, the R sequence).
 _ROOT = 1.1673039782614187

@@ -14,7 +14,7 @@ from itertools import islice
 
 import numpy as np
 
-from fden_ros.core.streams.rotation import Vector, rotate
+from fden_ros.core.streams import Vector, rotate
 from fden_ros.errors import InputError
 from fden_ros.parameters import Parameters, Value
 from fden_ros.recording.table import TableReader

@@ -15,7 +15,7 @@ from mcap.exceptions import McapError
 from mcap.well_known import SchemaEncoding
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fden_ros.core.streams.tool import Quaternion
+from fden_ros.core.streams import Quaternion
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import decoder, decoder_by, message_definition
 from fden_ros.recording.reader import Topic

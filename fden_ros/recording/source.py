@@ -13,8 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
-from fden_ros.core.streams.rotation import conjugate, rotate
-from fden_ros.core.streams.samples import Sink
+from fden_ros.core.streams import Sink, conjugate, rotate
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.arm import arm_values

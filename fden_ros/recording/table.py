@@ -13,7 +13,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import NamedTuple
 
-from fden_ros.core.streams.rotation import NumberOrVector, Quaternion, Vector, by_rotation_vector
+from fden_ros.core.streams import NumberOrVector, Quaternion, Vector, by_rotation_vector
 from fden_ros.errors import InputError
 from fden_ros.recording.headings import (
     RECORDERS,

@@ -15,8 +15,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fden_ros.control.live_tissue import Refusal
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.control import Refusal
+from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.offline.known import knows_stiffness_alone
 from fden_ros.offline.remarks import against_the_law

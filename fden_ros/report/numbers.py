@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation import Estimate
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import ApparentStiffness
 from fden_ros.written import written

@@ -14,7 +14,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
-from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, is_path
 from fden_ros.offline.remarks import remarks

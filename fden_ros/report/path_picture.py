@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.outputs import ContactSummary
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.report import style
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from fden_ros.core.estimation.parts import ended
+from fden_ros.core.estimation import ended
 from fden_ros.planning.motion import Motion
 from fden_ros.planning.plan import NAMES, Plan, Search
 from fden_ros.report import style

@@ -14,11 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import StressMoments, memory_weights
+from fden_ros.core.law import Geometry, StressMoments, elastic_response, memory_weights
 from fden_ros.core.outputs import ContactSummary, TissueState
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.offline.session import Contact, Session, predicted_stress
 from fden_ros.offline.signals import Envelope
 from fden_ros.parameters import unit_vector

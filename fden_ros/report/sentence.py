@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from fden_ros.core.classification.classifier import UNKNOWN
+from fden_ros.core.classification import UNKNOWN
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.offline.advice import cure
 from fden_ros.offline.session import Session

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Estimate
+from fden_ros.core.estimation import Estimate
 
 # Each is another, also where two look alike: a page has a variable for each.
 INK, MUTED, GRID, SHADE = "#1b1f24", "#667080", "#e3e6ea", "#e6edf6"

@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from fden_ros.core.estimation.estimate import ParameterSet
+from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, is_path
 from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 

@@ -16,7 +16,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, Places, stream_of
 
 _LITTLE_ENDIAN = b"\x00\x01"

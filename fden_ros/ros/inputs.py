@@ -12,8 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fden_ros.core.streams.rotation import NumberOrVector, Quaternion, normalised
-from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sink
+from fden_ros.core.streams import (
+    NANOSECONDS,
+    NumberOrVector,
+    Position,
+    Quaternion,
+    Reason,
+    Sink,
+    normalised,
+)
 from fden_ros.parameters import (
     Parameters,
     frames_config,

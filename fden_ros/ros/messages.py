@@ -13,16 +13,16 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
 
-from fden_ros.core.classification.classifier import ClassProbabilities
-from fden_ros.core.estimation.estimate import (
+from fden_ros.core.classification import ClassProbabilities
+from fden_ros.core.estimation import (
     PUBLISHED,
+    Component,
     Estimate,
+    Innovation,
     LawError,
     ParameterSet,
+    RigKnowledge,
 )
-from fden_ros.core.estimation.estimator import Innovation
-from fden_ros.core.estimation.mixture import Component
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ApparentStiffness,
@@ -38,7 +38,7 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.ros.inputs import stamp_ns
 

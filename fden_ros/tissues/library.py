@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from fden_ros.core.classification.classifier import UNKNOWN, Tissue, TissueLibrary
-from fden_ros.core.law.geometry import FlatPunch, Geometry
+from fden_ros.core.classification import UNKNOWN, Tissue, TissueLibrary
+from fden_ros.core.law import FlatPunch, Geometry
 from fden_ros.errors import InputError
 
 FORMAT = 2

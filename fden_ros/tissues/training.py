@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.classification.classifier import (
+from fden_ros.core.classification import (
     UNKNOWN,
     Likelihood,
     Tissue,
@@ -35,7 +35,7 @@ from fden_ros.core.classification.classifier import (
     log_evidence,
     posterior,
 )
-from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation import Prior
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT, parse_library
 

@@ -20,9 +20,8 @@ from fden_ros.core.classification.labelling import (
     DecisionConfig,
     Labeller,
     Labelling,
-    Surroundings,
 )
-from fden_ros.core.classification.relative import Comparison, RelativeConfig
+from fden_ros.core.classification.relative import Comparison, RelativeConfig, Surroundings
 
 __all__ = [
     "UNKNOWN",

@@ -42,7 +42,7 @@ import numpy as np
 from scipy.special import chdtrc, gammaln, roots_genlaguerre
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation import Prior
 
 UNKNOWN = "unknown"
 

@@ -17,10 +17,9 @@ from fden_ros.core.classification.classifier import (
     likelihood_of,
 )
 from fden_ros.core.classification.relative import Comparison, Surroundings
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation import Estimate, EstimatorConfig
 from fden_ros.core.parameter import parameter
-from fden_ros.core.streams.samples import NANOSECONDS, Position
+from fden_ros.core.streams import NANOSECONDS, Position
 
 #: An unknown place becomes known when its typicality exceeds the significance by this factor.
 _TEST_HYSTERESIS = 2.0

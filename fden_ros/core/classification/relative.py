@@ -22,10 +22,10 @@ from scipy.special import stdtr, stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
-from fden_ros.core.estimation.estimate import Estimate
-from fden_ros.core.law.apparent_stiffness import LogStiffness, log_stiffness
+from fden_ros.core.estimation import Estimate
+from fden_ros.core.law import LogStiffness, log_stiffness
 from fden_ros.core.parameter import parameter
-from fden_ros.core.streams.samples import Position, lateral_distance
+from fden_ros.core.streams import Position, lateral_distance
 
 #: Answers of the comparison.
 ANSWERS = ("softer", "alike", "stiffer")

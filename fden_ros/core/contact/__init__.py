@@ -3,8 +3,16 @@
 
 """When and where the probe touched."""
 
-from fden_ros.core.contact.air import ContactConfig, least_noise
+from fden_ros.core.contact.air import SLOW_NS, ContactConfig, least_noise
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 from fden_ros.core.contact.imagined import imagined_onset
 
-__all__ = ["ContactConfig", "ContactDetector", "Onset", "Release", "imagined_onset", "least_noise"]
+__all__ = [
+    "SLOW_NS",
+    "ContactConfig",
+    "ContactDetector",
+    "Onset",
+    "Release",
+    "imagined_onset",
+    "least_noise",
+]

@@ -25,8 +25,7 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams.guard import Resolution
-from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position
+from fden_ros.core.streams import NANOSECONDS, Pair, Position, Resolution
 
 
 @dataclass(frozen=True)

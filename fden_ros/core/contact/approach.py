@@ -13,7 +13,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import CHUNK_NS
 from fden_ros.core.contact.surface import Surface
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 
 #: A probe has come to the surface through the air when its way there is more than this many
 #: deviations of the surface, and than this many usual steps of the displacement: noise

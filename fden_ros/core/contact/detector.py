@@ -32,7 +32,7 @@ from fden_ros.core.contact.approach import Approach
 from fden_ros.core.contact.release import ReleaseDetector
 from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
 from fden_ros.core.contact.watches import Below, Fall, Hidden
-from fden_ros.core.streams.samples import NANOSECONDS, Pair
+from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: What lasts no longer than this before the first contact may be a press as well as the air [ns]:
 #: a record that began in a press of 0.1 N took 50 ms of it for the air (test_faults).

@@ -9,7 +9,7 @@ import math
 from collections import deque
 
 from fden_ros.core.contact.air import Chunk, Excess
-from fden_ros.core.streams.samples import Pair
+from fden_ros.core.streams import Pair
 
 #: The probe is no longer pressing below half the threshold.
 _RELEASE_SHARE = 0.5

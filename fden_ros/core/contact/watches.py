@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fden_ros.core.contact.air import Chunk
-from fden_ros.core.streams.samples import NANOSECONDS
+from fden_ros.core.streams import NANOSECONDS
 
 #: After 10 chunks in a row below the bias by more than the threshold the bias is another.
 _BELOW_CHUNKS = 10

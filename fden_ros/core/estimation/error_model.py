@@ -33,7 +33,7 @@ from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
-from fden_ros.core.law.characteristic import apparent_stiffness_factor
+from fden_ros.core.law import apparent_stiffness_factor
 
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.

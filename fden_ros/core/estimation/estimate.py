@@ -15,7 +15,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.mixture import Component
-from fden_ros.core.law.characteristic import elastic_response, exponential_scale
+from fden_ros.core.law import elastic_response, exponential_scale
 
 if TYPE_CHECKING:
     from fden_ros.core.estimation.small_motion import SmallMotion

@@ -32,7 +32,7 @@ from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.law.characteristic import MAX_EXPONENT
+from fden_ros.core.law import MAX_EXPONENT
 
 #: Row of the errors that the drift of the stress gains.
 _DRIFT = 3

@@ -19,8 +19,7 @@ from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
-from fden_ros.core.law.characteristic import elastic_response
-from fden_ros.core.law.relaxation import StressMoments
+from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
 LEAST_WEIGHT = 0.01

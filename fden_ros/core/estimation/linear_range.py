@@ -24,7 +24,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
-from fden_ros.core.law.characteristic import log_phi
+from fden_ros.core.law import log_phi
 
 #: A change of the logarithm counts up to this [1]: a factor of e^20 is far enough.
 _MOST = 20.0

@@ -29,7 +29,7 @@ from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.unknowns import LAW, ORDER
-from fden_ros.core.law.relaxation import HIGHEST_ORDER, LOWEST_ORDER
+from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Steps of one maximum [1], and damped tries of one step [1].
 MOST_STEPS, _MOST_TRIES = 60, 8

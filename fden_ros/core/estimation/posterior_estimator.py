@@ -35,7 +35,7 @@ from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law import Geometry
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
 #: standard deviations off.

@@ -19,7 +19,7 @@ from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER
-from fden_ros.core.law.characteristic import MAX_EXPONENT
+from fden_ros.core.law import MAX_EXPONENT
 
 #: Place of the strain origin behind the law's parameters.
 _ORIGIN = len(LAW)

@@ -31,15 +31,15 @@ from fden_ros.core.estimation.unknowns import (
     Unknown,
     splines,
 )
-from fden_ros.core.law.characteristic import elastic_responses
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import (
+from fden_ros.core.law import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
     RATES,
+    Geometry,
     StressMoments,
     creep_slopes,
     creep_weights,
+    elastic_responses,
     relaxation_slopes,
     relaxation_weights,
 )

@@ -29,7 +29,7 @@ from fden_ros.core.estimation.unknowns import (
     strain_range,
     unknowns_of,
 )
-from fden_ros.core.law.geometry import Geometry
+from fden_ros.core.law import Geometry
 
 #: Standard deviations of the delay for which stress waits for its motion [1].
 MOST_LATE = 2.0

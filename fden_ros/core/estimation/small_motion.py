@@ -34,8 +34,7 @@ from fden_ros.core.estimation.unknowns import (
     ORDER,
     local_splines,
 )
-from fden_ros.core.law.characteristic import MAX_EXPONENT, phi
-from fden_ros.core.law.relaxation import relaxation_after
+from fden_ros.core.law import MAX_EXPONENT, phi, relaxation_after
 
 #: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
 #: of this share [1].

@@ -32,9 +32,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.loops import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, NEAR
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.law.characteristic import phi
-from fden_ros.core.law.geometry import Geometry
-from fden_ros.core.law.relaxation import RATES, left_after, relaxation_weights
+from fden_ros.core.law import RATES, Geometry, left_after, phi, relaxation_weights
 
 #: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
 #: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.

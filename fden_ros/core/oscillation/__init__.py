@@ -3,13 +3,18 @@
 
 """What an oscillation of the probe tells: complex moduli, and stiffness along a path."""
 
-from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
+from fden_ros.core.oscillation.complex_modulus import (
+    LEAST_AMPLITUDE,
+    ComplexModulus,
+    ComplexModulusMeter,
+)
 from fden_ros.core.oscillation.local_stiffness import Stiffness
 from fden_ros.core.oscillation.palpation import Palpated
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
 
 __all__ = [
+    "LEAST_AMPLITUDE",
     "ComplexModulus",
     "ComplexModulusMeter",
     "Measured",

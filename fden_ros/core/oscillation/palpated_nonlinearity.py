@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import ive
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimator_config import Uncertainty
+from fden_ros.core.estimation import Uncertainty
 from fden_ros.core.oscillation.complex_modulus import Phasors
 from fden_ros.core.oscillation.palpation import Palpated
 

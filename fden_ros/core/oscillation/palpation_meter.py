@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation import EstimatorConfig
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
 from fden_ros.core.oscillation.out_of_step import PhaseGrowth, leads_beyond_right_angle, sentence

@@ -4,7 +4,13 @@
 """Samples of two streams in, pairs out: checked, synchronised, the tool's weight taken off."""
 
 from fden_ros.core.streams.frames import FramesConfig, StaticLinks, chain_up
-from fden_ros.core.streams.guard import GapGuard, Resolution, StreamGuard, force_at_limit
+from fden_ros.core.streams.guard import (
+    USUAL_SAMPLES,
+    GapGuard,
+    Resolution,
+    StreamGuard,
+    force_at_limit,
+)
 from fden_ros.core.streams.rotation import (
     NumberOrVector,
     Quaternion,
@@ -28,6 +34,7 @@ from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
 
 __all__ = [
     "NANOSECONDS",
+    "USUAL_SAMPLES",
     "FramesConfig",
     "GapGuard",
     "NumberOrVector",

@@ -28,7 +28,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
-from fden_ros.core.law.relaxation import RATES, relaxation_weights
+from fden_ros.core.law import RATES, relaxation_weights
 
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
 #: one that is over at once, as that of a dashpot.
