@@ -56,7 +56,7 @@ _PARAMETERS = {
     "prior.alpha": PRIOR.fractional_order,
     "prior.alpha_sd": PRIOR.fractional_order_sd,
     # Poor contacts are to be classified too, by what they are worth.
-    "converged.log_sd": 0.15,
+    "converged.log_gn_sd": 0.15,
 }
 #: Median of G [Pa s^alpha], of Gn, and alpha with its spread, by name; liver is the paper's.
 _CLASSES = {

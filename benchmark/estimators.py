@@ -61,8 +61,8 @@ def _by_pipeline(question: Question, observation: str) -> Answer:
             "geometry.thickness": question.thickness,
             "force.measure_bias": False,
             "origin.source": "given",
-            "plausible.force": 1e6,
-            "estimate.time_scale": TIME_SCALE,
+            "plausibility.max_force": 1e6,
+            "apparent_stiffness.time_scale": TIME_SCALE,
         }
     )
     outputs: list[Output] = []

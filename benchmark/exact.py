@@ -6,7 +6,7 @@
 Tissue, motion, rate, noise and prior are drawn (see below), simulated apart from the identifier,
 and identified with the noise as it is measured in the air; the rig's deviations are 0 and an arm's
 defaults in turn. A *false alarm* is a contact whose summary tells a mismatch or a change, *live*
-where any state does; *silent* is one that is converged, unflagged, and off by more than five
+where any state does; *undetected* is one that is converged, unflagged, and off by more than five
 stated deviations and 3 % (0.01 of alpha). Error over the bound: of what is known exactly but the
 tissue (rig, motion, a linear part that is seen) over the least that is possible.
 """
@@ -345,10 +345,10 @@ def _over_bound(ratios: Array) -> dict[str, dict[str, Any]]:
 
 def _alarm(contact: Contact, outcome: Outcome) -> dict[str, Any] | None:
     row = figures_of([outcome])
-    if not (row["silent"].part or row["told live"].part or row["live"].part):
+    if not (row["undetected"].part or row["told live"].part or row["live"].part):
         return None
     model = contact.model
-    return {name: row[name] for name in ("silent", "live", "changed", "mismatch")} | {
+    return {name: row[name] for name in ("undetected", "live", "changed", "mismatch")} | {
         "rig": contact.rig,
         "motion": contact.press.kind,
         "tissue": [model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order],
@@ -364,7 +364,11 @@ def goals_of(found: Found, rows: Mapping[str, Mapping[str, Any]]) -> list[Goal]:
     told = sum(_told(trial.outcome) for trial in found)
     silent = sum(any(c.is_silent for c in trial.outcome.contacts) for trial in found)
     goals = [
-        few("silent: converged, unflagged and off", Share(silent, len(found)), 1e-3),
+        few(
+            "undetected gross errors: converged, unflagged and off",
+            Share(silent, len(found)),
+            1e-3,
+        ),
         few("false alarms: told as mismatch or change", Share(told, len(found)), 1.0 / 300.0),
         few("false alarms: told at any moment", every["told live"], 1.0 / 300.0),
         at_most("live: unflagged CONVERGED states that are off", every["live"].value, 1e-3),

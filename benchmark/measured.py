@@ -91,7 +91,7 @@ class Test:
     @property
     def parameters(self) -> dict[str, Any]:
         """Of the identifier: a testing machine, whose rig leaves nothing open."""
-        rig = {name: value for name, value in KNOWN_RIG.items() if name != "converged.log_sd"}
+        rig = {name: value for name, value in KNOWN_RIG.items() if name != "converged.log_gn_sd"}
         return rig | {
             "geometry.kind": "flat_punch",
             # Stress is force: the indenter's shape is not known.

@@ -129,7 +129,7 @@ def foretell(
     seen, config = test.seen, pipeline_config(check(test.parameters | own))
     short, state, _ = identify(test, seen, own)
     memory = TissueMemory(config.geometry)
-    strains = test.displacements[:seen] / test.thickness - short.strain_origin
+    strains = test.displacements[:seen] / test.thickness - short.contact_point
     steps = np.diff(test.times[:seen])
     for step, strain, force in zip(steps, strains[1:], test.forces[1:seen], strict=True):
         memory.press(float(step), float(strain), float(force))

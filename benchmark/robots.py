@@ -4,8 +4,8 @@
 """What a real robot adds (breathing, compliance, friction, hum, ...), and what the estimate says.
 
 Simulated presses on a disturbed rig go through the whole pipeline, with a wide prior. Bad columns
-come first: *silent* presses have a summary that is converged, without a warning flag, and off by
-more than five stated deviations and 3 % (0.01 of alpha); *live* are unflagged CONVERGED states
+come first: *undetected* presses have a summary that is converged, without a warning flag, and off
+by more than five stated deviations and 3 % (0.01 of alpha); *live* are unflagged CONVERGED states
 that are off likewise; then root mean square of error over stated deviation of ln G, ln Gn and
 alpha. *Invented*: contacts where there was none; *missed*: of presses of ten times the noise;
 *split*: further contacts within a press; *measured*: slopes of force over displacement, of loading
@@ -119,7 +119,11 @@ def goals_of(
     ]
     ratios = np.array([c.error / np.maximum(c.deviation, 1e-12) for c in expected])
     goals = [
-        few("silent, all rows", total(row["silent"] for row in rows.values()), 0.01),
+        few(
+            "undetected gross errors, all rows",
+            total(row["undetected"] for row in rows.values()),
+            0.01,
+        ),
         at_most("live, all rows", total(row["live"] for row in rows.values()).value, 0.005),
         *(
             within(f"error over deviation, all but those beyond, {name}", value, (0.6, 1.3))

@@ -142,8 +142,8 @@ class Outcome:
 def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return the figures of some recordings by the heading of their column.
 
-    *silent*: presses whose contact is converged, unflagged and off; *live*: states alike; *error
-    over sd*: root mean square; *in 95 %*: share of the intervals that hold; *told live*:
+    *undetected*: presses whose contact is converged, unflagged and off; *live*: states alike;
+    *error over sd*: root mean square; *in 95 %*: share of the intervals that hold; *told live*:
     recordings of which any state tells a mismatch or a change; *sd*: median, as stated.
     """
     every = [contact for outcome in outcomes for contact in outcome.contacts]
@@ -153,7 +153,7 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     deviation = np.array([contact.deviation for contact in known]).reshape(-1, 3)
     told = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
     return {
-        "silent": Share(sum(c.is_silent for c in every), sum(o.presses for o in outcomes)),
+        "undetected": Share(sum(c.is_silent for c in every), sum(o.presses for o in outcomes)),
         "live": total(outcome.claims for outcome in outcomes),
         "error over sd": rms(error / np.maximum(deviation, 1e-12)),
         "in 95 %": _mean(np.abs(error) <= TWO_SIDED_95 * deviation),

@@ -126,17 +126,17 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
 #: The identifier's parameters where model and rig leave nothing out, as in `config/bench.yaml`:
 #: the simulated tissue obeys the law, and the simulated rig is rigid.
 EXACT: dict[str, Any] = {
-    "model_error.sd": 0.0,
+    "model_discrepancy.sd": 0.0,
     "surface.motion_sd": 0.0,
     "force.drift_sd": 0.0,
     "force.friction_sd": 0.0,
     "displacement.compliance_sd": 0.0,
     "displacement.delay_sd": 0.0,
     "geometry.thickness_sd": 0.0,
-    "converged.log_sd": 0.05,
+    "converged.log_gn_sd": 0.05,
 }
 #: The same of the rig alone: the law's error keeps its default.
-KNOWN_RIG = {name: value for name, value in EXACT.items() if name != "model_error.sd"}
+KNOWN_RIG = {name: value for name, value in EXACT.items() if name != "model_discrepancy.sd"}
 
 
 def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> dict[str, Any]:

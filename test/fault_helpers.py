@@ -39,15 +39,15 @@ RATE = 200.0
 WARNING_FLAGS = (
     Flag.GAP
     | Flag.MODEL_MISMATCH
-    | Flag.ORIGIN_UNCERTAIN
+    | Flag.TOUCH_NOT_OBSERVED
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
     | Flag.FORCE_DRIFTED
-    | Flag.HYSTERESIS
-    | Flag.ALPHA_CONTRADICTED
+    | Flag.RIG_PRIOR_CONFLICT
+    | Flag.ALPHA_PRIOR_CONFLICT
     | WITHHELD
-    | Flag.ESTIMATE_AT_EDGE
+    | Flag.AT_PRIOR_LIMIT
 )
 #: A number under a good status is wrong beyond so many standard deviations and so much of ln G.
 _DEVIATIONS, _SLACK = 5.0, 0.02
@@ -195,7 +195,7 @@ def numbers_of(value: object) -> Iterator[float]:
     """Give every floating-point number of an output."""
     if isinstance(value, Estimate):
         # Where the law has no error it is not known how probable another is.
-        value = tuple(value._replace(mismatch_probability=0.0))
+        value = tuple(value._replace(plateau_probability=0.0))
     if isinstance(value, np.ndarray):
         yield from value.ravel().tolist()
     elif isinstance(value, float):

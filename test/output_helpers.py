@@ -18,10 +18,10 @@ ESTIMATE = Estimate(
     math.log(8.0),
     0.13,
     np.diag([0.01, 0.0004, 0.0001]),
-    strain_origin=0.0,
-    strain_origin_sd=0.0,
+    contact_point=0.0,
+    contact_point_sd=0.0,
     probability_beyond_boundary=1.0,
-    valid=ParameterSet.ALL,
+    observable=ParameterSet.ALL,
     known=ParameterSet.ALL,
     sample_count=1000,
 )

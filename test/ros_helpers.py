@@ -52,7 +52,7 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 #: No sample comes too late for its partner, whichever stream a busy machine holds up.
-PATIENT = {"synchronize.window": 60.0}
+PATIENT = {"synchronize.max_wait": 60.0}
 #: Nothing may be lost where every number is compared.
 LOSSLESS: dict[str, Any] = {
     f"qos_overrides./{topic}.subscription.{policy}": value
@@ -390,7 +390,7 @@ def active(
     shared = Shared.get()
     # Its first word comes early: who waits until it is heard does not wait long.
     # What a busy machine delays is not what is tested, but where that is said.
-    shared.begin({"stale_timeout": 0.1, "lag_deadline": 60.0, **values, **(parameters or {})})
+    shared.begin({"source_timeout": 0.1, "lag_deadline": 60.0, **values, **(parameters or {})})
     try:
         yield shared
     finally:

@@ -107,7 +107,7 @@ def test_error_is_silent_unless_something_tells_of_it():
     assert judged(off).is_silent
     assert judged(off, flags=Flag.INPUT_REJECTED).is_silent
     assert not judged(off, converged=False).is_silent
-    for flag in (Flag.MODEL_MISMATCH, Flag.TISSUE_CHANGED, Flag.ORIGIN_UNCERTAIN, Flag.GAP):
+    for flag in (Flag.MODEL_MISMATCH, Flag.TISSUE_CHANGED, Flag.TOUCH_NOT_OBSERVED, Flag.GAP):
         assert not judged(off, flags=flag).is_silent
 
 
@@ -170,7 +170,7 @@ SMALL = {
     "exact --contacts 2 --samples 300 --jobs 1": lambda f: (
         f["bound"]["ln G"]["contacts"] == 1
         and f["rows"]["all"]["no estimate"][1] == f["rows"]["ramp"]["no estimate"][1] == 2
-        and f["rows"]["rig known"]["silent"] == [0, 2]
+        and f["rows"]["rig known"]["undetected"] == [0, 2]
         and "palpation" not in f["rows"]
     ),
     "laws --quick --cases linear_solid_1 --jobs 1": lambda f: len(f["N/m"]) == 4,
@@ -210,7 +210,7 @@ def test_rigs_are_judged_with_the_parameters_of_a_file(tmp_path, capsys, monkeyp
     plain = benchmark(capsys, tmp_path, *own)["cases"]
     told_of = benchmark(capsys, tmp_path, *own, "--parameters", path)["cases"]
     name = "compliance 0.5 mm/N"
-    assert plain[name]["silent"] == told_of[name]["silent"] == [0, 1]
+    assert plain[name]["undetected"] == told_of[name]["undetected"] == [0, 1]
     assert plain[name]["error over sd"] != told_of[name]["error over sd"]
     assert plain[name]["invented"] == 0
 

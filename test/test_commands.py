@@ -317,8 +317,8 @@ def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
     known = [one for one in contacts if one["apparent_stiffness"] is not None]
     assert len(known) > 20
     assert not any(one["converged"] for one in contacts)
-    assert all(one["flags"] == ["origin_uncertain"] for one in contacts)
-    assert {name for one in known for name in one["valid_parameters"]} <= {"fractional_order"}
+    assert all(one["flags"] == ["touch_not_observed"] for one in contacts)
+    assert {name for one in known for name in one["observable_parameters"]} <= {"fractional_order"}
     with AnyReader([out]) as reader:
         read = [
             (connection.topic, reader.deserialize(data, connection.msgtype))

@@ -83,7 +83,7 @@ def random_covariance(rng, sd):
 
 def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     liver = classify(LIBRARY, seen(LIVER.mean))
-    assert liver.label == "liver" and liver.typicality > 0.99
+    assert liver.label == "liver" and liver.p_value > 0.99
     assert probability(liver, "liver") > 0.95
     stiff = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
     assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
@@ -101,7 +101,7 @@ def test_probabilities_are_probabilities(mean, sd, order_counts, degrees):
     result = classify(library, seen(mean, sd, prior=PRIOR, order_counts=order_counts))
     assert len(result.probabilities) == len(LIBRARY.class_names)
     assert math.fsum(result.probabilities) == pytest.approx(1.0)
-    assert all(0.0 <= p <= 1.0 for p in (*result.probabilities, result.typicality))
+    assert all(0.0 <= p <= 1.0 for p in (*result.probabilities, result.p_value))
     assert result.label == LIBRARY.class_names[int(np.argmax(result.probabilities))]
 
 
@@ -161,7 +161,7 @@ def test_contact_that_showed_nothing_leaves_the_priors():
     for factor in (1.0, 3.0):
         result = classify(twins, likelihood_of(PRIOR_MEAN, factor * PRIOR_COVARIANCE, PRIOR))
         assert result.probabilities[:2] == pytest.approx((0.75, 0.25), abs=1e-6)
-        assert result.typicality == 1.0
+        assert result.p_value == 1.0
         assert not result.is_observable
 
 
@@ -183,9 +183,9 @@ def test_classes_that_differ_in_the_order_wait_for_the_order():
 NAMES = ("a", "b", UNKNOWN)
 
 
-def said(*probabilities, typicality=1.0, observable=True):
+def said(*probabilities, p_value=1.0, observable=True):
     best = NAMES[int(np.argmax(probabilities))]
-    return ClassProbabilities(best, NAMES, probabilities, typicality, observable)
+    return ClassProbabilities(best, NAMES, probabilities, p_value, observable)
 
 
 def labels(*answers, config=None):
@@ -195,7 +195,7 @@ def labels(*answers, config=None):
 
 
 A, B = said(0.8, 0.2, 0.0), said(0.1, 0.9, 0.0)
-OUT, EDGE, IN = (said(0.9, 0.1, 0.0, typicality=t) for t in (0.03, 0.08, 0.14))
+OUT, EDGE, IN = (said(0.9, 0.1, 0.0, p_value=t) for t in (0.03, 0.08, 0.14))
 #: Answers 50 ms apart, and the label after each; None: not looked at.
 SEQUENCES = {
     "waits for its probability and for observability": (

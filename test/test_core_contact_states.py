@@ -138,9 +138,9 @@ def exception(site: Site, contact: Contact) -> None:
 
 
 LOSSES = {
-    touch_unseen: (SiteState.UNOBSERVED, Flag.ORIGIN_UNCERTAIN),
-    past_unseen: (SiteState.UNOBSERVED, Flag.ORIGIN_UNCERTAIN),
-    dragged: (SiteState.UNOBSERVED, Flag.ORIGIN_UNCERTAIN),
+    touch_unseen: (SiteState.UNOBSERVED, Flag.TOUCH_NOT_OBSERVED),
+    past_unseen: (SiteState.UNOBSERVED, Flag.TOUCH_NOT_OBSERVED),
+    dragged: (SiteState.UNOBSERVED, Flag.TOUCH_NOT_OBSERVED),
     long_gap: (SiteState.UNOBSERVED, Flag.GAP),
     exception: (SiteState.FAILED, Flag.ESTIMATION_FAILED),
 }
@@ -184,4 +184,4 @@ def test_only_a_contact_that_is_claimed_teaches_the_rig():
         return pipeline.rig.drift != stated.drift
 
     assert learned()
-    assert not learned(**{"converged.log_sd": 0.001})
+    assert not learned(**{"converged.log_gn_sd": 0.001})

@@ -38,7 +38,7 @@ RIGID = {
     "displacement.delay_sd": 0.0,
     "displacement.compliance_sd": 0.0,
     "force.friction_sd": 0.0,
-    "model_error.sd": 0.0,
+    "model_discrepancy.sd": 0.0,
 }
 
 
@@ -169,10 +169,10 @@ def test_neither_g_nor_gn_is_claimed_of_another_law_and_nothing_is_converged():
     _, outputs = identify(palpated(1), **{"geometry.area": 1e-4, "geometry.thickness": 0.02})
     states = of(TissueState, outputs)
     assert {state.status for state in states} == {Status.CONVERGING}
-    assert all(Flag.ORIGIN_UNCERTAIN in state.flags for state in states)
+    assert all(Flag.TOUCH_NOT_OBSERVED in state.flags for state in states)
     estimates = [state.estimate for state in states if state.estimate is not None]
     assert len(estimates) > 0.7 * len(states)
-    assert all(not one.valid & ParameterSet.STIFFNESS for one in estimates)
+    assert all(not one.observable & ParameterSet.STIFFNESS for one in estimates)
     assert all(one.known | ParameterSet.FRACTIONAL_ORDER == 4 for one in estimates)
     assert not any(one.converged for one in of(ContactSummary, outputs))
 
@@ -244,7 +244,7 @@ def nonlinear_places(record: Palpated, **values):
     """Return the estimates of the places whose Gn is known, and the number of all places."""
     places = known_places(identify(record, **NONLINEAR, **values)[1])
     shown = ParameterSet.NONLINEAR_STIFFNESS
-    return [one.estimate for one in places if one.estimate.valid & shown], len(places)
+    return [one.estimate for one in places if one.estimate.observable & shown], len(places)
 
 
 @pytest.mark.parametrize("seeds", counts(4, 24))
@@ -326,7 +326,7 @@ def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay
     pipeline, outputs = identify(palpated(seed, is_rigid=True, delay=delay))
     places = of(ContactSummary, outputs)[5:]
     assert len(places) > 10 and not any(one.is_of_path for one in places)
-    assert all(Flag.ESTIMATE_AT_EDGE in one.flags and not one.estimate.valid for one in places)
+    assert all(Flag.AT_PRIOR_LIMIT in one.flags and not one.estimate.observable for one in places)
     assert any("displacement.delay" in words for words in pipeline.warnings)
 
 
@@ -368,7 +368,7 @@ def test_a_delay_that_is_stated_as_not_known_widens_and_is_not_flagged():
         stiffness = place.apparent_stiffness
         truth = record.apparent(place.position[0])
         off = math.log(stiffness.value / truth) * stiffness.value / stiffness.sd
-        assert abs(off) < 2.5 and not place.estimate.valid
+        assert abs(off) < 2.5 and not place.estimate.observable
 
 
 def test_a_long_gap_ends_the_place_and_forgets_it():

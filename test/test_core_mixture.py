@@ -102,28 +102,30 @@ def of_two_places() -> tuple[PosteriorEstimator, Tissue]:
 
 
 def assert_moments(estimate: Estimate) -> None:
-    assert math.isclose(sum(one.weight for one in estimate.modes), 1.0, rel_tol=1e-12)
-    mean = sum(one.weight * one.mean for one in estimate.modes)
-    squares = [one.covariance + np.outer(one.mean, one.mean) for one in estimate.modes]
-    second = sum(one.weight * square for one, square in zip(estimate.modes, squares, strict=True))
+    assert math.isclose(sum(one.weight for one in estimate.components), 1.0, rel_tol=1e-12)
+    mean = sum(one.weight * one.mean for one in estimate.components)
+    squares = [one.covariance + np.outer(one.mean, one.mean) for one in estimate.components]
+    second = sum(
+        one.weight * square for one, square in zip(estimate.components, squares, strict=True)
+    )
     covariance = second - np.outer(mean, mean)
     np.testing.assert_allclose(mean, estimate.mean, atol=1e-9)
     np.testing.assert_allclose(covariance, estimate.covariance, atol=1e-9)
 
 
 def test_what_is_published_has_the_moments_of_the_published_components() -> None:
-    found = [one for one in press(estimator_of(), tissue_of(), motion(0.15)) if one.modes]
+    found = [one for one in press(estimator_of(), tissue_of(), motion(0.15)) if one.components]
     for estimate in found:
         assert_moments(estimate)
         assert_moments(reserved(CONFIG, estimate, Reservations(variance_factor=3.0)))
-    assert max(len(one.modes) for one in found) > 1
+    assert max(len(one.components) for one in found) > 1
 
 
 def test_so_it_has_while_two_places_are_alive() -> None:
     estimator, tissue = of_two_places()
     alive = 0
     for estimate in press(estimator, tissue, motion()):
-        if estimate.modes:
+        if estimate.components:
             assert_moments(estimate)
         assert estimator.press is not None
         alive += len(estimator.press.weighed) > 1

@@ -104,7 +104,7 @@ def test_one_member_is_the_plain_extended_kalman_filter(geometry):
     # slope: 1e-6 of the value, and as much of a standard deviation.
     assert estimate.log_linear_stiffness == pytest.approx(plain.x[0], rel=1e-6)
     assert estimate.log_nonlinear_stiffness == pytest.approx(plain.x[1], rel=1e-6)
-    assert estimate.strain_origin == pytest.approx(plain.x[2], abs=1e-7)
+    assert estimate.contact_point == pytest.approx(plain.x[2], abs=1e-7)
     assert estimate.covariance[:2, :2] == pytest.approx(plain.P[:2, :2], rel=1e-4)
 
 

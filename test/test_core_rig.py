@@ -123,7 +123,7 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
     """A delay of 20 ms may as well be an error of the law: then that is in the deviations."""
     for number in range(numbers):
         (contact,) = trial_of(case, number, {}).contacts
-        is_said = bool(contact.flags & Flag.HYSTERESIS) or not contact.converged
+        is_said = bool(contact.flags & Flag.RIG_PRIOR_CONFLICT) or not contact.converged
         assert contradicts is None or is_said == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
@@ -279,7 +279,7 @@ def test_sites_that_rest_sharpen_the_next_and_sites_that_breathe_do_not(
 def test_a_drift_that_was_learned_sharpens_the_next_site(monkeypatch):
     """Where the law is exact the drift is a larger part of what is uncertain."""
     monkeypatch.setattr(presses, "RATE_HZ", 100.0)
-    exact = {"model_error.sd": 0.0}
+    exact = {"model_discrepancy.sd": 0.0}
     learned = of_three_sites("undisturbed", exact)
     stated = of_three_sites("undisturbed", {**exact, "force.learn_drift": False})
     assert learned.deviation[0] < 0.97 * stated.deviation[0]
@@ -336,7 +336,7 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
     assert first.estimate is not None
     assert last.estimate is None
     assert not last.converged
-    assert last.flags & Flag.ORIGIN_UNCERTAIN
+    assert last.flags & Flag.TOUCH_NOT_OBSERVED
 
 
 # A probe that is dragged over the tissue after its touch
@@ -363,14 +363,14 @@ def pressed(aside):
 def test_a_press_along_a_tilted_axis_is_none(tilt):
     (summary,) = summaries_of(pressed(lambda time, depth: tilt * depth))
     assert summary.converged
-    assert not summary.flags & Flag.ORIGIN_UNCERTAIN
+    assert not summary.flags & Flag.TOUCH_NOT_OBSERVED
 
 
 @pytest.mark.parametrize("begins", [0.0, 1.0])
 def test_a_contact_in_which_the_probe_is_dragged_aside_claims_nothing(begins):
     outputs = pressed(lambda time, depth: 0.02 * max(time - begins, 0.0))
     (summary,) = summaries_of(outputs)
-    assert summary.flags & Flag.ORIGIN_UNCERTAIN
+    assert summary.flags & Flag.TOUCH_NOT_OBSERVED
     assert summary.estimate is None and not summary.converged
     # By then it has gone as far as it is deep.
     late = summary.start_ns + int((begins + 0.4) * 1e9)

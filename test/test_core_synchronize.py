@@ -99,7 +99,7 @@ def test_pairs_do_not_depend_on_how_the_streams_are_interleaved(forces, displace
         displacements + forces,
         merged(forces, displacements, choices),
     ]
-    runs = [Run(pairing_window=1e6) for _ in orders]
+    runs = [Run(max_wait=1e6) for _ in orders]
     for run, order in zip(runs, orders, strict=True):
         for sample in order:
             run.add(*sample)
@@ -179,7 +179,7 @@ def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
 
 @pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
 def test_one_stream_alone_does_not_fill_the_memory(name):
-    run = Run(pairing_window=1.0)
+    run = Run(max_wait=1.0)
     for ms in range(10_000):
         run.add(name, START + ms * MS)
     assert run.waiting <= 1001
@@ -320,6 +320,6 @@ def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed, jump)
             (one,) = chance.choices(left, weights)
             merged_in_turn.append(one.pop(0))
         # A window that holds everything: what waits too long is another test's matter.
-        run = surfaced(merged_in_turn, pairing_window=1e6)
+        run = surfaced(merged_in_turn, max_wait=1e6)
         results.append((run.pairs, run.noise, run.rejected))
     assert results[0] == results[1] == results[2]

@@ -333,7 +333,7 @@ def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live):
         "geometry.thickness": ParameterValue(type=double, double_value=-1.0),
         "force.limit": ParameterValue(type=text, string_value="much"),
         "prior.alpha": ParameterValue(type=double, double_value=math.nan),
-        "stale_timeout": ParameterValue(type=double, double_value=1e9),
+        "source_timeout": ParameterValue(type=double, double_value=1e9),
         "no.such": ParameterValue(type=double, double_value=1.0),
     }
     for name, value in values.items():

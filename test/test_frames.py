@@ -94,7 +94,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(turn
     while any(left):
         stream = chance.choice([one for one in left if one])
         merged += [stream.pop(0) for _ in range(min(chance.randint(1, 40), len(stream)))]
-    shuffled = run(merged, synchronize__window=60.0)
+    shuffled = run(merged, synchronize__max_wait=60.0)
     assert [c.estimate.mean.tolist() for c in shuffled.summaries if c.estimate] == [
         c.estimate.mean.tolist() for c in turning.summaries if c.estimate
     ]
@@ -103,7 +103,7 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(turn
 def test_frames_that_no_transform_connects_are_named():
     s = first_press()
     samples = [one for one in arm(s) if getattr(one, "child", "") != "flange"]
-    outcome = run(samples, synchronize__window=1.0)
+    outcome = run(samples, synchronize__max_wait=1.0)
     assert outcome.pipeline.pair_count == 0
     assert "no chain of transforms leads from sensor to base" in outcome.pipeline.transform_problem
     assert "camera, flange, link" in outcome.pipeline.transform_problem

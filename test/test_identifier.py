@@ -126,7 +126,7 @@ def set_parameter(bench: Bench, name: str, value: ParameterValue) -> Any:
 def test_parameters_are_described_ranged_and_changed_once_it_is_cleaned_up():
     with Bench() as bench, active():
         bench.wait_until_heard()
-        names = [parameter.name for parameter in PARAMETERS] + ["autostart", "stale_timeout"]
+        names = [parameter.name for parameter in PARAMETERS] + ["autostart", "source_timeout"]
         request = DescribeParameters.Request(names=names)
         descriptors = bench.call(DescribeParameters, "describe_parameters", request).descriptors
         assert [d.name for d in descriptors] == names

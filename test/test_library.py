@@ -312,7 +312,7 @@ def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsy
     (contact,) = json.loads(capsys.readouterr().out)["contacts"]
     assert contact["label"] == "stiff"
     assert contact["probabilities"]["stiff"] > 0.7
-    assert 0.05 < contact["typicality"] <= 1.0
+    assert 0.05 < contact["p_value"] <= 1.0
     assert 0.12 < contact["decision_strain"] <= 0.23
     assert 0.2 < contact["decision_time"] < 1.5
 

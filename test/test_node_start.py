@@ -111,7 +111,7 @@ def test_stamps_of_zero_are_said_with_the_parameter_that_takes_the_times_of_rece
 
 
 def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet():
-    with active({"stale_timeout": 0.1}):
+    with active({"source_timeout": 0.1}):
         with Bench() as early:
             early.wait_for(lambda: early.estimates, "a first word")
         with Bench() as late:

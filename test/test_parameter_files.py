@@ -112,7 +112,7 @@ ACCEPTED: dict[str, tuple[str, str, dict[str, Any]]] = {
         AREA,
     ),
     "with the node's own": (
-        any_node(f"use_sim_time: true, autostart: true, stale_timeout: 1, {RIGHT}"),
+        any_node(f"use_sim_time: true, autostart: true, source_timeout: 1, {RIGHT}"),
         "/identifier",
         AREA,
     ),

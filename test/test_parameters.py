@@ -130,7 +130,7 @@ def test_the_parameters_of_a_bench_leave_out_the_model_s_error_only():
     bench = pipeline_config(read_parameter_file(path)).estimator
     stated = Uncertainty().characteristic_sd
     assert bench.uncertainty == replace(NOTHING_UNKNOWN, characteristic_sd=stated)
-    assert bench.converged_log_sd == 0.05
+    assert bench.converged_log_gn_sd == 0.05
 
 
 def other_value(parameter):
@@ -246,13 +246,13 @@ TAKEN = {
     "rig.learn",
     "surface.learn_motion",
     "force.learn_drift",
-    "plausible.force",
-    "plausible.strain_rate",
-    "converged.linear_log_sd",
+    "plausibility.max_force",
+    "plausibility.min_strain_rate",
+    "converged.log_g_sd",
     "converged.alpha_sd",
     "classification.probability",
-    "classification.release",
-    "classification.dwell",
+    "classification.exit_probability",
+    "classification.min_duration",
     "classification.significance",
 }
 #: In test_frames.py.
@@ -434,7 +434,7 @@ def begins_with(index: int, value: float) -> Check:
     return lambda a, b: b.first.deviations[index] == near(value, 0.05)
 
 
-RIGID = EXACT | {"converged.log_sd": 0.1}
+RIGID = EXACT | {"converged.log_gn_sd": 0.1}
 
 
 def ends_with_alpha(value: float) -> Check:
@@ -487,14 +487,19 @@ EFFECTS: dict[str, Effect] = {
     "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
     "surface.message": ("breathing", RIGID, "joint_state", lambda a, b: b.error < 0.2 * a.error),
     "surface.delay": ("breathing", MARKED, -0.2, lambda a, b: b.sds[0] > 2.0 * a.sds[0]),
-    "model_error.sd": ("plain", RIGID, 0.4, lambda a, b: b.last.model_error > a.last.model_error),
+    "model_discrepancy.sd": (
+        "plain",
+        RIGID,
+        0.4,
+        lambda a, b: b.last.model_discrepancy > a.last.model_discrepancy,
+    ),
     "synchronize.max_gap": (
         "gap",
         {},
         0.1,
         lambda a, b: a.summary.complete and not b.summaries[0].complete,
     ),
-    "synchronize.window": (
+    "synchronize.max_wait": (
         "gap",
         {"synchronize.max_gap": 0.3},
         0.05,
@@ -541,15 +546,15 @@ EFFECTS: dict[str, Effect] = {
     "prior.nonlinear_stiffness_log_sd": ("plain", RIGID, 0.05, begins_with(1, 0.05)),
     "prior.alpha": ("plain", GIVEN, 0.2, ends_with_alpha(0.2)),
     "prior.alpha_sd": ("plain", GIVEN, 0.05, lambda a, b: b.sds[2] == near(0.05, 1e-6)),
-    "converged.log_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
+    "converged.log_gn_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
     "converged.probability": (
         "plain",
-        RIGID | {"converged.log_sd": 1.0},
+        RIGID | {"converged.log_gn_sd": 1.0},
         0.5,
         lambda a, b: b.converged > a.converged,
     ),
     "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
-    "estimate.time_scale": ("plain", RIGID | GIVEN, 1.0, softer_by_the_time_scale),
+    "apparent_stiffness.time_scale": ("plain", RIGID | GIVEN, 1.0, softer_by_the_time_scale),
     "contact.mode": (
         "palpated",
         {},

@@ -30,7 +30,7 @@ PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
 PROBE = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
 #: What the data say counts, so that nothing but the flags stands against a good status.
-RIGID = {**EXACT, **PROBE, "converged.log_sd": 0.1}
+RIGID = {**EXACT, **PROBE, "converged.log_gn_sd": 0.1}
 
 
 @pytest.fixture(scope="module")

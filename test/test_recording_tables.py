@@ -78,12 +78,12 @@ def test_a_recording_without_air_is_told_by_its_first_rise(
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows(air, offset))
     source = open_source(path, check({}))
-    assert (source.parameters.core.strain_origin is not None) is is_touched
+    assert (source.parameters.core.contact_point is not None) is is_touched
     assert source.parameters.core.contact.measure_bias is not is_touched
     assert bool(source.set_by_recording) is is_touched
     # An option outdoes what it looks like, and a configured origin is left alone.
     told = open_source(path, check({}), Selection(from_touch=not is_touched))
-    assert (told.parameters.core.strain_origin is None) is is_touched
+    assert (told.parameters.core.contact_point is None) is is_touched
     stated = check({"origin.source": "given", "origin.displacement": 1e-3})
     assert open_source(path, stated).parameters == stated
 
@@ -95,7 +95,7 @@ def test_a_probe_that_goes_back_behind_its_first_place_comes_from_the_air(
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows() + f"41,0.5,1\n42,0,{1e3 * back}\n")
     source = open_source(path, check({}))
-    assert (source.parameters.core.strain_origin is not None) is is_touched
+    assert (source.parameters.core.contact_point is not None) is is_touched
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_options_say_what_a_testing_machine_has_recorded(
     assert found["inputs"]["force"] == "column Load (N)"
     assert "force.measure_bias false" in " ".join(found["set_by_recording"])
     (contact,) = found["contacts"]
-    assert not {"origin_uncertain", "geometry_unstated"} & set(contact["flags"])
+    assert not {"touch_not_observed", "geometry_unstated"} & set(contact["flags"])
     assert contact["g"] is not None
     same = replayed(
         capsys, path, "--from-touch", "--area", "1963.4954mm2", "--thickness", "3cm",

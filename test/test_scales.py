@@ -31,7 +31,7 @@ def scaled(
         "geometry.area": 3.14e-4 * size**2,
         "geometry.thickness": 0.02 * size,
         "prior.linear_stiffness": Prior().linear_stiffness * stress,
-        "plausible.force": 1e4,
+        "plausibility.max_force": 1e4,
         **KNOWN_RIG,
         **{name.replace("__", "."): value for name, value in more.items()},
     }

@@ -106,7 +106,7 @@ def test_decision_goes_into_the_message_with_its_flags():
     )
     message = classification_message(output, "probe")
     assert message.flags == Flag.MODEL_MISMATCH
-    assert (message.label, message.typicality) == ("liver", 0.4)
+    assert (message.label, message.p_value) == ("liver", 0.4)
     assert (message.decision_time, message.decision_strain) == (0.8, 0.21)
     assert (message.ratio, message.ratio_low, message.ratio_high) == (0.0, 0.0, 0.0)
 
@@ -177,7 +177,7 @@ def lacking(
     config = PipelineConfig(
         None,
         geometry=FlatPunch(math.pi * RADIUS**2, 0.02),
-        estimator=EstimatorConfig(uncertainty=rig, converged_log_sd=0.05),
+        estimator=EstimatorConfig(uncertainty=rig, converged_log_gn_sd=0.05),
     )
     words = shortfall(contact, config)
     assert "\n" not in words
@@ -211,7 +211,7 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force():
     hidden = ESTIMATE._replace(
         covariance=ESTIMATE.covariance + np.outer(along, along),
         with_origin=tuple((along * origin).tolist()),
-        strain_origin_sd=origin,
+        contact_point_sd=origin,
     )
     geometry = FlatPunch(math.pi * RADIUS**2, 0.02)
     seen, open_ = (apparent_stiffness_of(e, geometry, 0.3, 0.0, 0.1) for e in (ESTIMATE, hidden))
@@ -219,7 +219,7 @@ def test_a_hidden_surface_leaves_the_slope_of_the_force():
     assert hidden.deviations[0] > 2.0
     assert open_.value == seen.value
     assert open_.sd == pytest.approx(seen.sd)
-    moved = ESTIMATE._replace(strain_origin=0.1)
+    moved = ESTIMATE._replace(contact_point=0.1)
     assert apparent_stiffness_of(moved, geometry, 0.4, 0.0, 0.1).value == pytest.approx(seen.value)
     # Below 1/Gn the slope is that of G, and known as well.
     of_g = ESTIMATE._replace(covariance=np.diag([0.01, 0.0, 0.0]))

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     limits = parser.add_argument_group("what a press may do")
     for name, unit, usual in (
         ("depth", "m", "a strain of 0.3"),
-        ("force", "N", "plausible.force"),
+        ("force", "N", "plausibility.max_force"),
         ("speed", "m/s", "0.02, 0.008 with much noise"),
         ("time", "s", "10"),
     ):
@@ -191,7 +191,7 @@ def _tissue(path: Path) -> TissueBelief:
     """Return what the results of a replay tell of the tissue at their last place."""
     from fden_ros.planning.tissue import TissueBelief
 
-    known = [one["modes"] for one in _contacts(path) if one.get("modes")]
+    known = [one["components"] for one in _contacts(path) if one.get("components")]
     if not known:
         raise InputError(f"{path} has no contact with an estimate")
     return TissueBelief.of(known[-1])

@@ -186,8 +186,8 @@ def _warnings(contacts: Contacts, result: Check) -> list[str]:
     if contacts.mismatched:
         warnings.append(
             f"{contacts.mismatched} of {len(contacts)} contacts are not described by the model "
-            "(model_mismatch): their deviations hold the law's error only where model_error.sd is "
-            "not 0, and what differs may be the material"
+            "(model_mismatch): their deviations hold the law's error only where "
+            "model_discrepancy.sd is not 0, and what differs may be the material"
         )
     for reason, count in contacts.skipped.items():
         warnings.append(f"left out: {count} {reason}")

@@ -28,14 +28,14 @@ from fden_ros.core.streams import NANOSECONDS
 REFUSED_FLAGS = (
     Flag.GAP
     | Flag.MODEL_MISMATCH
-    | Flag.ORIGIN_UNCERTAIN
+    | Flag.TOUCH_NOT_OBSERVED
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
-    | Flag.ESTIMATE_AT_EDGE
+    | Flag.AT_PRIOR_LIMIT
     | Flag.FORCE_DRIFTED
-    | Flag.HYSTERESIS
-    | Flag.ALPHA_CONTRADICTED
+    | Flag.RIG_PRIOR_CONFLICT
+    | Flag.ALPHA_PRIOR_CONFLICT
     | WITHHELD
 )
 #: The stress between two estimates is not known where they are farther apart than this time [s]
@@ -243,7 +243,7 @@ class LiveTissue:
         if not self._is_known(state):
             is_linear = (
                 ParameterSet.LINEAR_STIFFNESS in state.estimate.known
-                and ParameterSet.NONLINEAR_STIFFNESS not in state.estimate.valid
+                and ParameterSet.NONLINEAR_STIFFNESS not in state.estimate.observable
             )
             return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
         return Refusal.CONTRADICTED if self._contradicted == state.contact_id else None

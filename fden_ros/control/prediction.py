@@ -192,7 +192,7 @@ class Predictor:
         The stated deviation of the kernel is that of the slope before the hold: what noise and rig
         explain does not go on.
         """
-        slope = self.memory.slope(self.estimate.loading_age)
+        slope = self.memory.slope(self.estimate.mean_dwell_time)
         expected = (self.uncertainty.kernel_sd * self.stress) ** 2
         if slope is None or expected == 0.0:
             return None
@@ -219,18 +219,18 @@ class Predictor:
             np.append(self.memory.strain, strains), 1.0, self.estimate.nonlinear_stiffness
         )
         steps = np.diff(grid, prepend=0.0)
-        ahead = LoadingAhead.along(elastic.value, steps, self.estimate.loading_age)
+        ahead = LoadingAhead.along(elastic.value, steps, self.estimate.mean_dwell_time)
         return _Path(steps, ahead, self._relaxed * elastic.by_strain[1:])
 
     def _left_out_variance(self, path: _Path, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
         estimate, trend = self.estimate, self._trend
-        if estimate.loading_age <= 0.0:
+        if estimate.mean_dwell_time <= 0.0:
             return np.zeros_like(stress)
-        kernel_error = self._kernel_error if trend is None else 0.0
-        grown = path.ahead.left_out(stress, estimate.model_error, kernel_error)
+        relaxation_error = self._relaxation_error if trend is None else 0.0
+        grown = path.ahead.left_out(stress, estimate.model_discrepancy, relaxation_error)
         grown += self._rig_variance(path.stiffness) * path.steps
-        relaxation = (kernel_error * stress) ** 2
+        relaxation = (relaxation_error * stress) ** 2
         if trend is not None:
             relaxation = (_SHOWN_RELAXATION * self.uncertainty.kernel_sd * stress) ** 2
             relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, *self._parameters)) ** 2
@@ -244,14 +244,14 @@ class Predictor:
         return np.asarray(surface**2 + drift**2)
 
     @property
-    def _kernel_error(self) -> float:
+    def _relaxation_error(self) -> float:
         """Relative deviation of a relaxation that no hold has shown, in each factor e of its age.
 
         The evidence so far may widen what is stated, not shrink it.
         """
         stated, found = self.uncertainty.kernel_sd, self.estimate.law_error
         unseen = _UNSEEN_RELAXATION * stated if found is None else found.kernel
-        return max(stated, KERNEL_SHARE * self.estimate.model_error, unseen)
+        return max(stated, KERNEL_SHARE * self.estimate.model_discrepancy, unseen)
 
     def _variance(self, function: Callable[[Array, float, float], Array], value: Array) -> Array:
         """Return the variance of a function of the parameters whose value is given."""

@@ -180,7 +180,7 @@ class Account:
 
     def _strain(self, compression: float, estimate: Estimate | None) -> float:
         """Return the strain from the origin of an estimate [1]."""
-        origin = estimate.strain_origin if estimate is not None else 0.0
+        origin = estimate.contact_point if estimate is not None else 0.0
         return self._config.geometry.strain(compression - origin)
 
     def _stiffness(

@@ -37,7 +37,7 @@ def apparent_stiffness_of(
     if estimate.small_motions:
         found = log_stiffness(estimate.small_motions, compression, stress, time_scale)
     else:
-        found = _of_law(estimate, geometry, compression - estimate.strain_origin, time_scale)
+        found = _of_law(estimate, geometry, compression - estimate.contact_point, time_scale)
     if found is None or found[1] > _MOST_SPREAD**2 or found[0] > _LARGEST_LOG:
         return None
     value = math.exp(found[0])
@@ -51,5 +51,5 @@ def _of_law(
     covariance = np.zeros((4, 4))
     covariance[:3, :3] = estimate.covariance
     covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
-    covariance[3, 3] = estimate.strain_origin_sd**2
+    covariance[3, 3] = estimate.contact_point_sd**2
     return log_stiffness_at(estimate.mean, covariance, geometry, compression, time_scale)

@@ -84,7 +84,12 @@ class PipelineConfig:
     )
     block_compression: float = 0.005  #: a larger change of the compression cuts a block short [1]
     apparent_stiffness_time_scale: float = parameter(
-        "estimate.time_scale", 0.1, "Time scale tau of the apparent stiffness.", "s", 1e-4, 10000.0
+        "apparent_stiffness.time_scale",
+        0.1,
+        "Time scale tau of the apparent stiffness.",
+        "s",
+        1e-4,
+        10000.0,
     )
     stated_frequencies: tuple[float, ...] = parameter(
         "dither.frequencies",
@@ -115,7 +120,7 @@ class PipelineConfig:
     relative: RelativeConfig = field(default_factory=RelativeConfig)
 
     @property
-    def strain_origin(self) -> float | None:
+    def contact_point(self) -> float | None:
         """Displacement at which the tissue is free of load [m]; None: found from the force."""
         return self.origin_displacement if self.origin_source == "given" else None
 

@@ -101,7 +101,7 @@ class Place(Stretch):
         super().__init__(window.start_ns)
         self.number = number
         self.first = window.position.value
-        self.flags = Flag.ORIGIN_UNCERTAIN
+        self.flags = Flag.TOUCH_NOT_OBSERVED
         self.rejected = rejected  #: samples before it
         self.found: Palpated | None = None
 
@@ -271,7 +271,7 @@ class ContinuousSession:
         found = self._meter.current(time)
         estimate = found.estimate if found is not None else None
         place = self._place
-        own = place.flags if place is not None else Flag.ORIGIN_UNCERTAIN
+        own = place.flags if place is not None else Flag.TOUCH_NOT_OBSERVED
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.CONVERGING,

@@ -30,7 +30,7 @@ class KnownTissue(NamedTuple):
     def is_above_surface(self, step: float, compression: float) -> bool:
         """Whether the tissue would have to pull at the probe `step` seconds from the last."""
         free = self.memory.free_response(step, self.estimate.fractional_order)
-        strain = self.geometry.strain(compression - self.estimate.strain_origin)
+        strain = self.geometry.strain(compression - self.estimate.contact_point)
         return self.estimate.is_above_surface(strain, free)
 
     def change_of_stress(self, before: float, after: float, elapsed: float) -> float:
@@ -38,7 +38,7 @@ class KnownTissue(NamedTuple):
         estimate = self.estimate
         if elapsed <= 0.0:
             return 0.0
-        strains = [self.geometry.strain(u - estimate.strain_origin) for u in (before, after)]
+        strains = [self.geometry.strain(u - estimate.contact_point) for u in (before, after)]
         elastic = elastic_responses(
             np.array(strains), estimate.linear_stiffness, estimate.nonlinear_stiffness
         )

@@ -24,8 +24,8 @@ _DETECTED = 3
 
 def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
     """Return the displacement at zero strain [m] and its standard deviation as compression [1]."""
-    if config.strain_origin is not None:
-        return config.strain_origin, 0.0
+    if config.contact_point is not None:
+        return config.contact_point, 0.0
     origin_sd = math.hypot(found_sd(onset, config), _hidden_depth(onset, config))
     return onset.displacement, origin_sd
 
@@ -58,7 +58,7 @@ def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
 
 def begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
     """Whether the origin is given and a sample is there, so that no press came before it."""
-    if config.strain_origin is None:
+    if config.contact_point is None:
         return False
-    compression = (pair.displacement - config.strain_origin) / config.geometry.length
+    compression = (pair.displacement - config.contact_point) / config.geometry.length
     return compression <= config.block_compression

@@ -53,16 +53,16 @@ class Flag(enum.IntFlag):
     INPUT_REJECTED = 1
     GAP = 2
     MODEL_MISMATCH = 4
-    ORIGIN_UNCERTAIN = 8
+    TOUCH_NOT_OBSERVED = 8
     TISSUE_CHANGED = 16
     SATURATED = 32
     ESTIMATION_FAILED = 64
-    ESTIMATE_AT_EDGE = 128
+    AT_PRIOR_LIMIT = 128
     GEOMETRY_UNSTATED = 256
     IMPLAUSIBLE = 512
     FORCE_DRIFTED = 1024
-    HYSTERESIS = 2048
-    ALPHA_CONTRADICTED = 4096
+    RIG_PRIOR_CONFLICT = 2048
+    ALPHA_PRIOR_CONFLICT = 4096
 
 
 #: With one of these no estimate is converged, whatever the data say.
@@ -156,11 +156,11 @@ class ContactSummary:
     @property
     def is_of_path(self) -> bool:
         """Whether it is a place on the path of a continuous contact whose stiffness is known."""
-        if self.apparent_stiffness is None or Flag.ORIGIN_UNCERTAIN not in self.flags:
+        if self.apparent_stiffness is None or Flag.TOUCH_NOT_OBSERVED not in self.flags:
             return False
         # Along a path G is never determined, Gn at times; a press begun unseen may have it.
         estimate = self.estimate
-        return estimate is None or not estimate.valid & ParameterSet.LINEAR_STIFFNESS
+        return estimate is None or not estimate.observable & ParameterSet.LINEAR_STIFFNESS
 
 
 def is_path(summaries: Sequence[ContactSummary]) -> bool:
@@ -169,7 +169,7 @@ def is_path(summaries: Sequence[ContactSummary]) -> bool:
     Where one was seen, one that began unseen is a contact beside it.
     """
     return any(summary.is_of_path for summary in summaries) and all(
-        Flag.ORIGIN_UNCERTAIN in summary.flags for summary in summaries
+        Flag.TOUCH_NOT_OBSERVED in summary.flags for summary in summaries
     )
 
 
@@ -246,7 +246,7 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
         return OrderSource.NONE
     if config.fractional_order_given:
         return OrderSource.GIVEN
-    is_determined = ParameterSet.FRACTIONAL_ORDER in estimate.valid
+    is_determined = ParameterSet.FRACTIONAL_ORDER in estimate.observable
     is_learned = is_determined and not config.is_order_given
     return OrderSource.LEARNED if is_learned else OrderSource.PRIOR
 
@@ -255,8 +255,8 @@ def estimate_flags(estimate: Estimate | None) -> Flag:
     """Return the flags of an estimate: at an end of the prior, of a wrong alpha."""
     if estimate is None:
         return Flag.NONE
-    edge = Flag.ESTIMATE_AT_EDGE if estimate.at_edge else Flag.NONE
-    return edge | (Flag.ALPHA_CONTRADICTED if estimate.is_order_contradicted else Flag.NONE)
+    edge = Flag.AT_PRIOR_LIMIT if estimate.at_edge else Flag.NONE
+    return edge | (Flag.ALPHA_PRIOR_CONFLICT if estimate.is_order_contradicted else Flag.NONE)
 
 
 def failure_of(error: Exception, stamp_ns: int, site_id: int, contact_id: int) -> Failure:

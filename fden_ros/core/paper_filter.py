@@ -217,10 +217,10 @@ class FractionalStressEstimator(Estimator):
             log_nonlinear_stiffness=float(mean[_LOG_GN]),
             fractional_order=prior.fractional_order,
             covariance=joint,
-            strain_origin=float(mean[_ORIGIN]),
-            strain_origin_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
+            contact_point=float(mean[_ORIGIN]),
+            contact_point_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
             probability_beyond_boundary=beyond,
-            valid=valid,
+            observable=valid,
             known=converged(config, deviations, valid),
             sample_count=self._sample_count,
         )

@@ -27,7 +27,7 @@ class PlausibilityConfig:
     """What a contact cannot exceed, where the units are right."""
 
     most_force: float = parameter(
-        "plausible.force",
+        "plausibility.max_force",
         200.0,
         "flat_punch, sphere: a contact of more force is implausible, and never converged.",
         "N",
@@ -35,7 +35,7 @@ class PlausibilityConfig:
         1e9,
     )
     least_strain_rate: float = parameter(
-        "plausible.strain_rate",
+        "plausibility.min_strain_rate",
         0.001,
         "A press strained slower than this and sampled slower than 2 Hz is implausible; 0: any "
         "is plausible.",
@@ -204,9 +204,10 @@ class Plausibility:
             return ""
         asked = _asked(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
         return (
-            f"a contact reached {written(force, 3)} N, more than plausible.force ({most:g} N): is "
-            f"the force in {asked or 'N'}? If it is that large, set plausible.force to "
-            f"{10.0 ** math.ceil(math.log10(force)):g} in the parameter file"
+            f"a contact reached {written(force, 3)} N, more than plausibility.max_force "
+            f"({most:g} N): is the force in {asked or 'N'}? If it is that large, set "
+            f"plausibility.max_force to {10.0 ** math.ceil(math.log10(force)):g} in the parameter "
+            "file"
         )
 
     def _of_rate(self, strain: float, elapsed: float) -> str:
@@ -221,8 +222,9 @@ class Plausibility:
         asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
-            f"plausible.strain_rate ({least:g} 1/s), and samples come every {self._step:.2g} s: "
-            f"is the time in {asked or 's'}? If the press is that slow, set plausible.strain_rate"
+            f"plausibility.min_strain_rate ({least:g} 1/s), and samples come every "
+            f"{self._step:.2g} s: is the time in {asked or 's'}? If the press is that slow, set "
+            "plausibility.min_strain_rate"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:

@@ -136,7 +136,7 @@ class Site(Standing):
         is of what it has just dragged along.
         """
         has_slid = self.whereabouts.is_apart(self.whereabouts.left)
-        is_doubted = Flag.ORIGIN_UNCERTAIN in self.flags or bool(has_slid)
+        is_doubted = Flag.TOUCH_NOT_OBSERVED in self.flags or bool(has_slid)
         return is_doubted and dips(stamp_ns - self._last_ns)
 
     def check_history(self, onset: Onset) -> None:
@@ -291,7 +291,7 @@ class Site(Standing):
         self.doubt(Flag.NONE, self.lessons.motion_factor(estimator))
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
-            self.doubt(Flag.HYSTERESIS, 1.0 + off**2)
+            self.doubt(Flag.RIG_PRIOR_CONFLICT, 1.0 + off**2)
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate uncertain where it has not converged; None: not known."""
@@ -371,8 +371,8 @@ def _checked(estimate: Estimate) -> Estimate:
         estimate.log_linear_stiffness,
         estimate.log_nonlinear_stiffness,
         estimate.fractional_order,
-        estimate.strain_origin,
-        estimate.strain_origin_sd,
+        estimate.contact_point,
+        estimate.contact_point_sd,
         float(estimate.covariance.sum()),
     )
     return estimate

@@ -54,7 +54,7 @@ class Standing:
         self._variance_factor = max(self._variance_factor, variance_factor)
         self.find(self._own)
 
-    def withdraw(self, flag: Flag = Flag.ORIGIN_UNCERTAIN) -> None:
+    def withdraw(self, flag: Flag = Flag.TOUCH_NOT_OBSERVED) -> None:
         """Say nothing any more: the tissue under the probe has a past that was not seen."""
         self._go(SiteState.UNOBSERVED, flag)
 

@@ -231,7 +231,7 @@ class Session:
             self._seen_pairs, self._last_input, self._said_stale = pairs, now, None
             return
         waited = _seconds(self._last_input, now)
-        if waited < self._node.get_parameter("stale_timeout").value:
+        if waited < self._node.get_parameter("source_timeout").value:
             return
         if self._said_stale is not None:
             if _seconds(self._said_stale, now) < _STALE_PERIOD:

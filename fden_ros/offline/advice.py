@@ -59,7 +59,7 @@ def cure(summary: ContactSummary, config: PipelineConfig) -> str:
 
 def _cure(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
     estimate, budget = summary.estimate, summary.budget
-    if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
+    if summary.flags & Flag.TOUCH_NOT_OBSERVED and not summary.is_of_path:
         return "begin 1 s in the air, and touch faster or with a larger face, for G and Gn"
     if estimate is None or not _is_open(summary):
         return ""
@@ -134,7 +134,7 @@ def _is_open(summary: ContactSummary) -> bool:
 
 
 def _limits(config: EstimatorConfig) -> tuple[float, float]:
-    return config.converged_linear_log_sd, config.converged_log_sd
+    return config.converged_log_g_sd, config.converged_log_gn_sd
 
 
 def _poor(estimate: Estimate, config: EstimatorConfig) -> list[int]:
@@ -149,7 +149,7 @@ def _is_linear_part_hidden(estimate: Estimate, budget: Budget) -> bool:
 
 def _reason(summary: ContactSummary, config: PipelineConfig) -> str:
     estimate, budget = summary.estimate, summary.budget
-    if summary.flags & Flag.ORIGIN_UNCERTAIN and not summary.is_of_path:
+    if summary.flags & Flag.TOUCH_NOT_OBSERVED and not summary.is_of_path:
         return "the touch was not observed, in the recording or above noise and drift"
     if estimate is None or not _is_open(summary):
         return ""

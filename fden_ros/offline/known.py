@@ -15,11 +15,11 @@ def knows_stiffness(summary: ContactSummary) -> bool:
     one, from where on it is shown as a number. Where a unit or the geometry is wrong nothing is,
     nor where no touch was seen: there the signs may be wrong, and the air the contact.
     """
-    if summary.flags & (WITHHELD | Flag.ORIGIN_UNCERTAIN):
+    if summary.flags & (WITHHELD | Flag.TOUCH_NOT_OBSERVED):
         return False
     by_law = summary.apparent_stiffness
     is_law = by_law is not None and by_law.sd < by_law.value
-    is_doubted = bool(summary.flags & (Flag.MODEL_MISMATCH | Flag.ESTIMATE_AT_EDGE))
+    is_doubted = bool(summary.flags & (Flag.MODEL_MISMATCH | Flag.AT_PRIOR_LIMIT))
     return summary.measured.loading is not None or (is_law and not is_doubted)
 
 

@@ -13,9 +13,9 @@ from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.offline.advice import shortfall
 from fden_ros.written import written
 
-#: What a flag stands for; ALPHA_CONTRADICTED has its numbers.
+#: What a flag stands for; ALPHA_PRIOR_CONFLICT has its numbers.
 _BY_FLAG = {
-    Flag.ORIGIN_UNCERTAIN: (
+    Flag.TOUCH_NOT_OBSERVED: (
         "The touch of this tissue was not observed: the force was there when the data began, it "
         "rose unseen in noise, or the probe was dragged here. There is no strain origin, and no "
         "estimate for this site."
@@ -32,7 +32,7 @@ _BY_FLAG = {
         "The force in the air after a contact was not that before it, beyond force.drift_sd: the "
         "deviations are widened by as much."
     ),
-    Flag.HYSTERESIS: (
+    Flag.RIG_PRIOR_CONFLICT: (
         "Friction, delay or compliance is more than 2.5 standard deviations off what "
         "force.friction_sd, displacement.delay_sd and displacement.compliance_sd state: the "
         "deviations are widened."
@@ -67,7 +67,7 @@ def remarks(
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
     yield from (words for flag, words in _BY_FLAG.items() if summary.flags & flag)
-    if summary.flags & Flag.ALPHA_CONTRADICTED and estimate is not None and estimate.law_error:
+    if summary.flags & Flag.ALPHA_PRIOR_CONFLICT and estimate is not None and estimate.law_error:
         error = estimate.law_error
         yield (
             f"The relaxation contradicts the stated alpha: it is that of {error.order:.3f} ± "
@@ -82,7 +82,7 @@ def remarks(
     elif words := shortfall(summary, config):
         yield f"{words[0].upper()}{words[1:]}."
     if estimate is not None and not (
-        estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.valid
+        estimate.at_edge or ParameterSet.FRACTIONAL_ORDER in estimate.observable
     ):
         yield (
             f"alpha is not determined by the data: {estimate.fractional_order:.3f} ± "

@@ -217,11 +217,11 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         **measured_object(summary.measured),
         "alpha_source": summary.order_source.name.lower(),
         "converged": summary.converged,
-        "valid_parameters": list(estimate.valid.names) if estimate is not None else [],
+        "observable_parameters": list(estimate.observable.names) if estimate is not None else [],
         "converged_parameters": list(estimate.known.names) if estimate is not None else [],
-        "edge_parameters": list(estimate.at_edge.names) if estimate is not None else [],
+        "prior_limit_parameters": list(estimate.at_edge.names) if estimate is not None else [],
         "covariance": estimate.covariance.tolist() if estimate is not None else None,
-        "modes": _modes_object(estimate),
+        "components": _components_object(estimate),
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
@@ -232,13 +232,13 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "probabilities": (
             dict(zip(classes.names, classes.probabilities, strict=True)) if classes else {}
         ),
-        "typicality": classes.typicality if classes is not None else None,
+        "p_value": classes.p_value if classes is not None else None,
         "decision_time": decided.time if decided is not None else None,
         "decision_strain": decided.strain if decided is not None else None,
         "ratio": compared.ratio if compared is not None else None,
         "ratio_low": low,
         "ratio_high": high,
-        "budget": _budget_object(summary.budget),
+        "uncertainty_budget": _budget_object(summary.budget),
         "rig": _rig_object(summary.rig),
     }
 
@@ -253,7 +253,7 @@ def measured_object(measured: BothWays) -> dict[str, float | None]:
     return found
 
 
-def _modes_object(estimate: Estimate | None) -> list[dict[str, Any]]:
+def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:
     """Return the modes of (ln G, ln Gn, alpha), whose moments are mean and covariance."""
     members = TissueBelief.found(estimate).members if estimate is not None else ()
     return [

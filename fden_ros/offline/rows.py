@@ -21,11 +21,11 @@ COLUMNS: tuple[str, ...] = (
     "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "frame", "g", "g_sd", "g_n",
     "g_n_sd", "alpha", "alpha_sd", "alpha_source", "boundary_strain", "exponential_scale",
     "converged", "complete", "flags", "max_strain", "max_stress", "max_force", "samples",
-    "rejected", "label", "probability", "mean_nis", "typicality", "decision_time",
+    "rejected", "label", "probability", "mean_nis", "p_value", "decision_time",
     "decision_strain", "ratio", "ratio_low", "ratio_high", "apparent_stiffness",
     "apparent_stiffness_sd", "apparent_stiffness_time_scale", "g_g_n_correlation",
-    "g_alpha_correlation", "g_n_alpha_correlation", "valid_parameters", "converged_parameters",
-    "edge_parameters",
+    "g_alpha_correlation", "g_n_alpha_correlation", "observable_parameters",
+    "converged_parameters", "prior_limit_parameters",
 )  # fmt: skip
 COLUMNS += tuple(key for key in KEYS if key not in COLUMNS)
 COLUMNS += tuple(
@@ -33,7 +33,7 @@ COLUMNS += tuple(
 )
 
 #: Columns of several words.
-LISTS = ("flags", "valid_parameters", "converged_parameters", "edge_parameters")
+LISTS = ("flags", "observable_parameters", "converged_parameters", "prior_limit_parameters")
 #: Columns of the correlations, and which of (ln G, ln Gn, alpha) each is of.
 CORRELATIONS = {
     "g_g_n_correlation": (0, 1),

@@ -222,7 +222,7 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
         "autostart", False, "Configure and activate at start-up, without a lifecycle manager."
     ),
     Parameter(
-        "stale_timeout",
+        "source_timeout",
         0.5,
         "Time without a usable pair of samples after which the estimate is stale.",
         "s",
@@ -252,6 +252,16 @@ _RENAMED = {
     "alpha.source": "alpha.learn: true for prior, false for given",
     "alpha.value": "prior.alpha, with alpha.learn: false",
     "alpha.sd": "prior.alpha_sd, with alpha.learn: false",
+    "classification.dwell": "classification.min_duration",
+    "classification.release": "classification.exit_probability",
+    "converged.linear_log_sd": "converged.log_g_sd",
+    "converged.log_sd": "converged.log_gn_sd",
+    "estimate.time_scale": "apparent_stiffness.time_scale",
+    "model_error.sd": "model_discrepancy.sd",
+    "plausible.force": "plausibility.max_force",
+    "plausible.strain_rate": "plausibility.min_strain_rate",
+    "stale_timeout": "source_timeout",
+    "synchronize.window": "synchronize.max_wait",
 }
 
 

@@ -94,7 +94,7 @@ class Forecast:
     @property
     def _origin_sd(self) -> float:
         """Usual standard deviation of the origin at a touch [1]."""
-        if self.config.strain_origin is not None:
+        if self.config.contact_point is not None:
             return 0.0
         found = [touch.origin_sd for touch in self._touches.values()]
         return float(np.median(found)) if found else _FIRST_ORIGIN_SD

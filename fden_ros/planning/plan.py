@@ -98,7 +98,7 @@ class Target:
     def converged(cls, config: PipelineConfig) -> Target:
         """Return what a contact takes to converge."""
         own = config.estimator
-        return cls((own.converged_linear_log_sd, own.converged_log_sd, math.inf))
+        return cls((own.converged_log_g_sd, own.converged_log_gn_sd, math.inf))
 
     def ratios(self, deviations: Array) -> Array:
         """Return deviations (..., 3) over those that are wanted, (..., 3)."""

@@ -40,8 +40,8 @@ _REMEDIES: Mapping[str, str] = {
     "compliance": "a compliance of {compliance}/N is assumed: state displacement.compliance_sd",
     "delay": "a delay of {delay} is assumed: fden configure measures it",
     "surface": "the surface was found to {place}: touch it slower",
-    "law": "the tissue is not quite the law's (model_error.sd): hold for 2 s, and press here "
-    "again",
+    "law": "the tissue is not quite the law's (model_discrepancy.sd): hold for 2 s, and press "
+    "here again",
     "thickness": "a thickness known to {thickness:.2g} % is assumed: state geometry.thickness_sd",
     "prior": "hold for 2 s for alpha, or press deeper for Gn",
 }

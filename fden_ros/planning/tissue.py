@@ -40,7 +40,7 @@ class TissueBelief:
     @classmethod
     def found(cls, estimate: Estimate) -> TissueBelief:
         """Return what an estimate says: its modes."""
-        return cls(estimate.modes or (Component(1.0, estimate.mean, estimate.covariance),))
+        return cls(estimate.components or (Component(1.0, estimate.mean, estimate.covariance),))
 
     @classmethod
     def of(cls, modes: Sequence[Mapping[str, Any]]) -> TissueBelief:

@@ -51,7 +51,7 @@ def touch_of(
         Times from the touch [s] and forces without noise [N].
     seed : int
     """
-    if config.strain_origin is not None:
+    if config.contact_point is not None:
         return Touch(0.0, True, False)
     noise, threshold = sensors.force_sd, config.contact.force_threshold
     seen = np.arange(-_AIR, motion.held[1], 1.0 / sensors.rate)

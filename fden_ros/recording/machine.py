@@ -80,7 +80,7 @@ def machine_values(
         "origin.source": "given",
         "origin.displacement": sign * places[0],
         "force.measure_bias": False,
-        "plausible.force": max(parameters.core.plausibility.most_force, _PLAUSIBLE_FORCE),
+        "plausibility.max_force": max(parameters.core.plausibility.most_force, _PLAUSIBLE_FORCE),
     }
     why = "by --from-touch"
     if from_touch is None:
@@ -125,7 +125,7 @@ def _is_default(parameters: Parameters) -> bool:
     """Return whether neither the origin nor the force's bias was configured."""
     return (
         not parameters.core.is_continuous
-        and parameters.core.strain_origin is None
+        and parameters.core.contact_point is None
         and parameters.core.contact.measure_bias
     )
 

@@ -115,9 +115,9 @@ def law(estimate: Estimate | None) -> str:
         f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
         f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
-    if math.isnan(estimate.mismatch_probability):
+    if math.isnan(estimate.plateau_probability):
         return text
-    return f"{text}; it ends with a probability of {estimate.mismatch_probability:.2f}"
+    return f"{text}; it ends with a probability of {estimate.plateau_probability:.2f}"
 
 
 def _rounded_up(value: float) -> str:

@@ -252,7 +252,7 @@ def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Ar
             order, then = estimate.fractional_order, state.estimate
             changed = memory_weights(order) - memory_weights(then.fractional_order)
             response += float(changed @ own)
-            moved = then.strain_origin - estimate.strain_origin
+            moved = then.contact_point - estimate.contact_point
             strain = geometry.strain(geometry.compression(strain) + moved)
         points.append((strain, response))
         before = state.stamp_ns, signals.stress

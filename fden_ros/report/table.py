@@ -102,7 +102,7 @@ def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool 
         flag.name.lower().replace("_", " ")
         for flag in Flag
         if flag and flag.name and flag & summary.flags
-        if not (flag is Flag.ORIGIN_UNCERTAIN and on_path)
+        if not (flag is Flag.TOUCH_NOT_OBSERVED and on_path)
     ]
     return ", ".join(parts)
 

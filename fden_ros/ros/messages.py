@@ -135,10 +135,10 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
         members = TissueBelief.found(summary.estimate).members
-        message.mode_weights = [float(m.weight) for m in members]
-        message.mode_means = np.concatenate([m.mean for m in members]).tolist()
+        message.component_weights = [float(m.weight) for m in members]
+        message.component_means = np.concatenate([m.mean for m in members]).tolist()
         covariances = np.concatenate([m.covariance.ravel() for m in members])
-        message.mode_covariances = covariances.tolist()
+        message.component_covariances = covariances.tolist()
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_measured(message, summary.measured)
     _fill_classes(message, summary)
@@ -174,9 +174,9 @@ def _fill_parameters(
         setattr(message, name, value)
     message.covariance = estimate.covariance.ravel()
     message.alpha_source = int(source)
-    message.valid_parameters = int(estimate.valid)
+    message.observable_parameters = int(estimate.observable)
     message.converged_parameters = int(estimate.known)
-    message.edge_parameters = int(estimate.at_edge)
+    message.prior_limit_parameters = int(estimate.at_edge)
 
 
 def _fill_apparent_stiffness(
@@ -207,7 +207,7 @@ def _fill_classes(
         message.label = classes.label
         message.class_names = list(classes.names)
         message.probabilities = list(classes.probabilities)
-        message.typicality = classes.typicality
+        message.p_value = classes.p_value
     if decided is not None:
         message.decision_time, message.decision_strain = decided.time, decided.strain
     if comparison is not None:
@@ -259,7 +259,9 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
         complete=message.complete,
         position=(position.x, position.y, position.z) if message.position_valid else None,
         order_source=OrderSource(message.alpha_source),
-        estimate=_estimate_of(message, message.sample_count)._replace(modes=_modes_of(message))
+        estimate=_estimate_of(message, message.sample_count)._replace(
+            components=_components_of(message)
+        )
         if message.alpha_source
         else None,
         max_strain=message.max_strain,
@@ -271,7 +273,7 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
             message.label,
             tuple(message.class_names),
             tuple(message.probabilities),
-            message.typicality,
+            message.p_value,
         )
         if message.class_names
         else None,
@@ -282,10 +284,10 @@ def summary_of(message: PalpationSummary) -> ContactSummary:
     )
 
 
-def _modes_of(message: PalpationSummary) -> tuple[Component, ...]:
-    means = np.array(message.mode_means).reshape(-1, 3)
-    covariances = np.array(message.mode_covariances).reshape(-1, 3, 3)
-    return tuple(map(Component, message.mode_weights, means, covariances))
+def _components_of(message: PalpationSummary) -> tuple[Component, ...]:
+    means = np.array(message.component_means).reshape(-1, 3)
+    covariances = np.array(message.component_covariances).reshape(-1, 3, 3)
+    return tuple(map(Component, message.component_weights, means, covariances))
 
 
 def _apparent_stiffness_of(
@@ -324,12 +326,12 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         if message.stiffness_ratio
         else None,
         law_error=LawError(*(getattr(message, name) for name in LawError.names()))
-        if message.kernel_error_sd
+        if message.relaxation_error_sd
         else None,
         probability_beyond_boundary=math.nan,
-        valid=ParameterSet(message.valid_parameters),
+        observable=ParameterSet(message.observable_parameters),
         known=ParameterSet(message.converged_parameters),
-        at_edge=ParameterSet(message.edge_parameters),
+        at_edge=ParameterSet(message.prior_limit_parameters),
         sample_count=sample_count,
-        is_order_contradicted=bool(message.flags & Flag.ALPHA_CONTRADICTED),
+        is_order_contradicted=bool(message.flags & Flag.ALPHA_PRIOR_CONFLICT),
     )

@@ -372,7 +372,7 @@ class Check:
         Classes, ``unknown`` last.
     truth : ndarray of int, shape (n,)
     probabilities : ndarray, shape (n, k + 1)
-    typicality : ndarray, shape (n,)
+    p_value : ndarray, shape (n,)
     groups : tuple of (str, str), shape (n,)
         Class and specimen.
     unchecked : tuple of str
@@ -384,7 +384,7 @@ class Check:
     names: tuple[str, ...]
     truth: NDArray[np.intp]
     probabilities: Array
-    typicality: Array
+    p_value: Array
     groups: tuple[tuple[str, str], ...]
     unchecked: tuple[str, ...]
     unnamed: tuple[str, ...]
@@ -458,20 +458,20 @@ def check(
     unchecked = tuple(name for name in names if len(set(folds[tissues == name])) < 2)
     used = np.flatnonzero(~np.isin(tissues, unchecked))
     probabilities = np.full((len(contacts), len(names) + 1), np.nan)
-    typicality = np.full(len(contacts), np.nan)
+    p_value = np.full(len(contacts), np.nan)
     for done, one in enumerate(np.unique(folds[used]), start=1):
         out = folds == one
         library = make(learn(contacts.only(np.flatnonzero(~out)), spreads))
         left = contacts.only(np.flatnonzero(out)).likelihood
         evidence, fits = log_evidence(library, left)
         probabilities[out] = posterior(library, evidence)
-        typicality[out] = fits.max(axis=-1)
+        p_value[out] = fits.max(axis=-1)
         show(done)
     return Check(
         (*names, UNKNOWN),
         np.searchsorted(np.array(names), tissues[used]),
         probabilities[used],
-        typicality[used],
+        p_value[used],
         tuple(groups[i] for i in used),
         unchecked,
         contacts.unnamed,

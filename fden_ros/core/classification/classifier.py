@@ -23,9 +23,9 @@ over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K
    \qquad m = \mu - c, \quad h = V^T K^T (s - \Lambda m).
 
 ``unknown`` is one more class, as wide as soft tissue is. Beside it stands an open-set test:
-``typicality`` is the share of contacts with the best fitting tissue that lie as far from its
+``p_value`` is the share of contacts with the best fitting tissue that lie as far from its
 centre as this one, or farther (Mahalanobis distance against chi-squared or, with few specimens,
-F). A place whose typicality is below the significance is unknown, however small the prior of that.
+F). A place whose p_value is below the significance is unknown, however small the prior of that.
 
 References: A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, ch. 3 and 17; C. Bishop,
 Pattern Recognition and Machine Learning, 2006, 2.3.7.
@@ -103,7 +103,7 @@ class ClassProbabilities(NamedTuple):
     label: str
     names: tuple[str, ...]
     probabilities: tuple[float, ...]
-    typicality: float = 1.0  #: P(as far out | best fitting tissue) [1]
+    p_value: float = 1.0  #: P(as far out | best fitting tissue) [1]
     is_observable: bool = True  #: the data, not the priors, tell the label from the others
 
     @property
@@ -184,18 +184,18 @@ def classify(
     likelihood : Likelihood
         Of one place.
     significance : float
-        The label is ``unknown`` where the typicality is below this.
+        The label is ``unknown`` where the p_value is below this.
     """
     evidence, fits = log_evidence(library, likelihood)
     probabilities = posterior(library, evidence)
     names = library.class_names
     best = int(np.argmax(probabilities))
-    typicality = float(np.max(fits))
+    p_value = float(np.max(fits))
     return ClassProbabilities(
-        names[best] if typicality >= significance else UNKNOWN,
+        names[best] if p_value >= significance else UNKNOWN,
         names,
         tuple(float(p) for p in probabilities),
-        typicality,
+        p_value,
         _is_observable(library, likelihood, evidence, best),
     )
 
@@ -212,7 +212,7 @@ def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array,
     -------
     evidence : ndarray, shape (..., k + 1)
         Up to a constant that the classes share; ``unknown`` last.
-    typicality : ndarray, shape (..., k)
+    p_value : ndarray, shape (..., k)
         P(as far out | tissue), for each tissue but ``unknown``.
     """
     pairs = [_of_class(tissue, likelihood) for tissue in library.classes]
@@ -246,10 +246,10 @@ def _of_class(tissue: Tissue, likelihood: Likelihood) -> tuple[Array, Array]:
     largest = by_node.max(axis=-1, keepdims=True)
     total = np.log(np.exp(by_node - largest) @ weights) + largest[..., 0]
     evidence = np.sum(off * (likelihood.score - 0.5 * pulled), axis=-1) + total
-    return evidence, _typicality(known, slope, nodes, weights)
+    return evidence, _p_value(known, slope, nodes, weights)
 
 
-def _typicality(known: Array, slope: Array, nodes: Array, weights: Array) -> Array:
+def _p_value(known: Array, slope: Array, nodes: Array, weights: Array) -> Array:
     used = known > _LEAST_INFORMATION
     count = used.sum(axis=-1)
     safe = np.where(used, known, 1.0)

@@ -21,8 +21,8 @@ from fden_ros.core.estimation import Estimate, EstimatorConfig
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams import NANOSECONDS, Position
 
-#: An unknown place becomes known when its typicality exceeds the significance by this factor.
-_TEST_HYSTERESIS = 2.0
+#: An unknown place becomes known when its p_value exceeds the significance by this factor.
+_TEST_RIG_PRIOR_CONFLICT = 2.0
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class DecisionConfig:
         0.34,
         1.0,
     )
-    release: float = parameter(
-        "classification.release",
+    exit_probability: float = parameter(
+        "classification.exit_probability",
         0.5,
         "It stays named while its probability is at least this.",
         "1",
         0.0,
         1.0,
     )
-    dwell: float = parameter(
-        "classification.dwell",
+    min_duration: float = parameter(
+        "classification.min_duration",
         0.2,
         "How long another answer must stand before it replaces the one that is named.",
         "s",
@@ -102,7 +102,7 @@ class Decider:
         return self.label
 
     def _has_stood(self, stamp_ns: int) -> bool:
-        return stamp_ns - self._since_ns >= self._config.dwell * NANOSECONDS
+        return stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
 
     def _answer(self, classes: ClassProbabilities) -> str:
         config = self._config
@@ -110,13 +110,13 @@ class Decider:
             return ""
         own = dict(zip(classes.names, classes.probabilities, strict=True))
         is_unknown = self.label == UNKNOWN
-        limit = config.significance * (_TEST_HYSTERESIS if is_unknown else 1.0)
-        if classes.typicality < limit:
+        limit = config.significance * (_TEST_RIG_PRIOR_CONFLICT if is_unknown else 1.0)
+        if classes.p_value < limit:
             return UNKNOWN
         best = max(own, key=lambda name: own[name])
         if own[best] >= config.probability:
             return best
-        if self.label and own.get(self.label, 0.0) >= config.release:
+        if self.label and own.get(self.label, 0.0) >= config.exit_probability:
             return self.label
         return ""
 

@@ -89,18 +89,18 @@ class LoadingAhead(NamedTuple):
         ageing = np.log((ages + BLOCK_TIME) / (age + BLOCK_TIME))
         return cls(np.abs(np.diff(np.log(loaded))), ageing)
 
-    def left_out(self, stress: Array, model_error: float, kernel_error: float) -> Array:
+    def left_out(self, stress: Array, model_discrepancy: float, relaxation_error: float) -> Array:
         """Return what each step adds to the variance of the stress that is left out [Pa^2].
 
         Parameters
         ----------
         stress : ndarray, shape (n,)
             [Pa].
-        model_error, kernel_error : float
+        model_discrepancy, relaxation_error : float
             Relative deviations of the characteristic and of the relaxation [1].
         """
         aged = np.abs(np.diff(self.ageing, prepend=0.0))
-        relative = model_error**2 * self.loading + kernel_error**2 / KERNEL_LENGTH * aged
+        relative = model_discrepancy**2 * self.loading + relaxation_error**2 / KERNEL_LENGTH * aged
         return np.asarray(2.0 * stress**2 * relative)
 
 

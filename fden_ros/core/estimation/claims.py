@@ -34,7 +34,7 @@ class Evidence(NamedTuple):
 class Claims(NamedTuple):
     """What may be said of an estimate."""
 
-    valid: ParameterSet  #: what the data determine, or a setting
+    observable: ParameterSet  #: what the data determine, or a setting
     known: ParameterSet  #: what of it has converged
     at_edge: ParameterSet  #: what lies at an end of what the prior allows
 
@@ -85,11 +85,11 @@ def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Esti
     wide = estimate._replace(
         covariance=factor * estimate.covariance,
         with_origin=(factor * log_g, factor * log_gn, factor * order),
-        strain_origin_sd=math.sqrt(factor) * estimate.strain_origin_sd,
-        modes=widened(estimate.modes, factor) if estimate.modes else (),
+        contact_point_sd=math.sqrt(factor) * estimate.contact_point_sd,
+        components=widened(estimate.components, factor) if estimate.components else (),
         small_motions=tuple(motion.widened(factor) for motion in estimate.small_motions),
     )
-    return wide._replace(known=wide.known & converged(config, wide.deviations, wide.valid))
+    return wide._replace(known=wide.known & converged(config, wide.deviations, wide.observable))
 
 
 def determined(
@@ -123,7 +123,7 @@ def determined(
 def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -> ParameterSet:
     """Return those of `valid` whose standard deviations, shape (3,), are small enough."""
     limits = np.array(
-        [config.converged_linear_log_sd, config.converged_log_sd, config.converged_order_sd]
+        [config.converged_log_g_sd, config.converged_log_gn_sd, config.converged_order_sd]
     )
     found = ParameterSet.NONE
     for parameter, is_close in zip(EACH, deviations <= limits, strict=True):

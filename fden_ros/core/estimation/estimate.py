@@ -71,8 +71,13 @@ class LawError(NamedTuple):
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Return the names under which outputs state them, kernel_error and kernel_error_sd."""
-        errors = ("kernel_error", "characteristic_error", "loaded_error", "relaxation_order")
+        """Return the names under which outputs state them: relaxation_error and so on."""
+        errors = (
+            "relaxation_error",
+            "stress_strain_error",
+            "stress_strain_error_loaded",
+            "relaxation_order",
+        )
         return tuple(name + part for name in errors for part in ("", "_sd"))
 
 
@@ -107,24 +112,24 @@ class Estimate(NamedTuple):
     log_nonlinear_stiffness: float  #: ln Gn
     fractional_order: float  #: alpha [1]
     covariance: Array  #: of (ln G, ln Gn, alpha) [1], shape (3, 3)
-    strain_origin: float = 0.0  #: o [1]
-    strain_origin_sd: float = 0.0  #: [1]
+    contact_point: float = 0.0  #: o [1]
+    contact_point_sd: float = 0.0  #: [1]
     probability_beyond_boundary: float = 0.0  #: P(largest strain > 1/Gn) [1]
     #: What the data determine, or a setting: the others are prior knowledge.
-    valid: ParameterSet = ParameterSet.NONE
+    observable: ParameterSet = ParameterSet.NONE
     #: Those of them that have converged, each by itself.
     known: ParameterSet = ParameterSet.NONE
     sample_count: int = 0
     #: Relative standard deviation of the stress-strain curve from the law over a factor e of
     #: stress, averaged by the evidence [1]; 0: the data are those of the law.
-    model_error: float = 0.0
+    model_discrepancy: float = 0.0
     #: Mean time since the present elastic response was built up [s]; 0: not known.
-    loading_age: float = 0.0
+    mean_dwell_time: float = 0.0
     #: None: not known, before the first solution, and where the law is said to be exact.
     law_error: LawError | None = None
     #: Probability of a relaxation that ends, so that predictions do not hold [1]; NaN: not known,
     #: as before alpha has converged in a hold, or the end of the first contact of a site.
-    mismatch_probability: float = math.nan
+    plateau_probability: float = math.nan
     #: G over what it was at the last press into this place [1], and its standard deviation [1];
     #: None: there was none.
     softening: tuple[float, float] | None = None
@@ -137,7 +142,7 @@ class Estimate(NamedTuple):
     with_origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: Components of (ln G, ln Gn, alpha), whose moments the mean and `covariance` are; one: the
     #: posterior is a Gaussian. Empty: not known.
-    modes: tuple[Component, ...] = ()
+    components: tuple[Component, ...] = ()
     #: Delay of the displacement [s] and its standard deviation [s]; None: it is not learned, or
     #: stated within 10 ms.
     delay: tuple[float, float] | None = None
@@ -168,7 +173,7 @@ class Estimate(NamedTuple):
 
     def determines(self, index: int) -> bool:
         """Whether the data, or a setting, say what the parameter at `index` is."""
-        return bool(self.valid & EACH[index])
+        return bool(self.observable & EACH[index])
 
     def knows(self, index: int) -> bool:
         """Whether the parameter at `index` has converged."""
@@ -241,8 +246,8 @@ class Estimate(NamedTuple):
         """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
         of_law = LawError.names()
         found = {name: getattr(self, name) for name in PUBLISHED if name not in of_law}
-        if math.isnan(self.mismatch_probability):
-            del found["mismatch_probability"]
+        if math.isnan(self.plateau_probability):
+            del found["plateau_probability"]
         if self.softening is None:
             del found["stiffness_ratio"], found["stiffness_ratio_sd"]
         if self.law_error is not None:
@@ -265,11 +270,11 @@ PUBLISHED = {
     "fractional_order_sd": "alpha_sd",
     "exponential_scale": "",
     "boundary_strain": "",
-    "strain_origin": "",
-    "strain_origin_sd": "",
-    "model_error": "",
-    "loading_age": "",
-    "mismatch_probability": "mismatch_probability",
+    "contact_point": "",
+    "contact_point_sd": "",
+    "model_discrepancy": "",
+    "mean_dwell_time": "",
+    "plateau_probability": "plateau_probability",
     "stiffness_ratio": "stiffness_ratio",
     "stiffness_ratio_sd": "stiffness_ratio_sd",
     **{name: name for name in LawError.names()},

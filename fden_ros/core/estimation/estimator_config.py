@@ -88,7 +88,7 @@ class Uncertainty:
     """What is not known of model and rig, by default of an arm; 0: nothing."""
 
     characteristic_sd: float = parameter(
-        "model_error.sd",
+        "model_discrepancy.sd",
         0.2,
         "Relative standard deviation of the stress-strain curve from the law over a factor e of "
         "stress; the relaxation's is a quarter of it. 0: the law is exact.",
@@ -179,16 +179,16 @@ class EstimatorConfig:
         "Learn alpha together with G and Gn; false: it is prior.alpha, and counts with "
         "prior.alpha_sd.",
     )
-    converged_log_sd: float = parameter(
-        "converged.log_sd",
+    converged_log_gn_sd: float = parameter(
+        "converged.log_gn_sd",
         0.1,
         "Gn has converged only while the standard deviation of ln Gn is below this.",
         "1",
         1e-4,
         1.0,
     )
-    converged_linear_log_sd: float = parameter(
-        "converged.linear_log_sd",
+    converged_log_g_sd: float = parameter(
+        "converged.log_g_sd",
         0.5,
         "G has converged only while the standard deviation of ln G is below this.",
         "1",

@@ -128,7 +128,7 @@ class PressFilter:
         return not bool(np.all(np.abs(self.x[: LARGEST_STEP.size]) < MAX_EXPONENT))
 
     @property
-    def loading_age(self) -> float:
+    def mean_dwell_time(self) -> float:
         """Mean time since the present elastic response was built up [s]."""
         return self._loading.age
 

@@ -37,7 +37,7 @@ class Past:
     deepest: float = 0.0  #: largest compression of earlier presses [1]
     changes: int = 0  #: of the tissue, in earlier presses
     sample_count: int = 0
-    mismatch_probability: float = math.nan  #: of a relaxation that ends; NaN: not known
+    plateau_probability: float = math.nan  #: of a relaxation that ends; NaN: not known
     memory: StressMoments = field(default_factory=StressMoments)
     #: Logarithm of the odds that the tissue is another, by mean and covariance of what the press
     #: tells of (ln G, ln Gn, alpha); None: it is the one that was touched before.

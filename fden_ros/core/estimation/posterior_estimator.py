@@ -145,15 +145,15 @@ class PosteriorEstimator(Estimator):
         """
         if not self._best.setting.is_bent:
             return self._solved is not None and self._solved.is_contradicted
-        return self._mismatch_probability > _MISMATCH
+        return self._plateau_probability > _MISMATCH
 
     @property
-    def _mismatch_probability(self) -> float:
+    def _plateau_probability(self) -> float:
         """Of a relaxation that ends, by the pasts that know it [1]; NaN: none does."""
         known = [
-            (weight, past.mismatch_probability)
+            (weight, past.plateau_probability)
             for weight, past in self._weighed_pasts()
-            if not math.isnan(past.mismatch_probability)
+            if not math.isnan(past.plateau_probability)
         ]
         total = sum(weight for weight, _ in known)
         return sum(weight * odds for weight, odds in known) / total if total else math.nan
@@ -287,8 +287,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.solved is not None and one.solved.mismatch_probability is not None:
-                one.past.mismatch_probability = one.solved.mismatch_probability
+            if one.solved is not None and one.solved.plateau_probability is not None:
+                one.past.plateau_probability = one.solved.plateau_probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""
@@ -321,7 +321,7 @@ class PosteriorEstimator(Estimator):
         """Return the present estimate."""
         estimate = None
         if self.press is not None:
-            estimate = estimate_of(self.press, self._mismatch_probability)
+            estimate = estimate_of(self.press, self._plateau_probability)
         if estimate is None:
             estimate = prior_estimate(self._best.setting, self._best.shift)
         return estimate._replace(sample_count=self._best.sample_count)

@@ -28,13 +28,13 @@ _ORIGIN = len(LAW)
 _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 
 
-def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
+def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate | None:
     """Return the estimate of a press: the moments of its mixture; None: it has told nothing yet.
 
     Parameters
     ----------
     press : PressPosterior
-    mismatch_probability : float
+    plateau_probability : float
         Of a relaxation that ends [1]; NaN: not known.
     """
     weighed = press.weighed
@@ -86,20 +86,20 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         # The filter knows no bound.
         fractional_order=max(float(mean[ORDER]), 0.0),
         covariance=covariance[:_ORIGIN, :_ORIGIN],
-        strain_origin=float(mean[_ORIGIN]),
-        strain_origin_sd=float(deviations[_ORIGIN]),
+        contact_point=float(mean[_ORIGIN]),
+        contact_point_sd=float(deviations[_ORIGIN]),
         probability_beyond_boundary=beyond,
-        valid=valid,
+        observable=valid,
         known=known & converged(config, deviations[:_ORIGIN], valid),
-        model_error=sum(s.characteristic * p for s, p in solved.best.scales.items()),
-        loading_age=likeliest.loading_age,
+        model_discrepancy=sum(s.characteristic * p for s, p in solved.best.scales.items()),
+        mean_dwell_time=likeliest.mean_dwell_time,
         law_error=solved.law_error,
-        mismatch_probability=mismatch_probability,
+        plateau_probability=plateau_probability,
         softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
         with_origin=tuple(covariance[_ORIGIN, :_ORIGIN].tolist()),
-        modes=tuple(
+        components=tuple(
             # Copies: a view would keep the whole matrix with every state that is kept.
             Component(c.weight, c.mean[:_ORIGIN].copy(), c.covariance[:_ORIGIN, :_ORIGIN].copy())
             for c in (whole if not is_contradicted else ())
@@ -180,9 +180,9 @@ def prior_estimate(setting: PressSetting, shift: float = 0.0) -> Estimate:
         log_nonlinear_stiffness=float(mean[LOG_GN]),
         fractional_order=float(mean[ORDER]),
         covariance=covariance,
-        strain_origin=origin,
-        strain_origin_sd=setting.origin_sd,
-        valid=claims.valid,
+        contact_point=origin,
+        contact_point_sd=setting.origin_sd,
+        observable=claims.observable,
         known=claims.known,
         small_motions=motions,
     )

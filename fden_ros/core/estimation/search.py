@@ -52,7 +52,7 @@ class Solved:
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
     #: Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
-    mismatch_probability: float | None = None
+    plateau_probability: float | None = None
 
     @property
     def model(self) -> PressModel:
@@ -136,7 +136,7 @@ class Search:
         limit = self.posterior.limit = self._limit(_MOST_EVALUATIONS)
         found = yield from limit.counted(self._solutions())
         limit = self.posterior.limit = self._limit(_MOST_OF_RIVALS)
-        mismatch = yield from limit.counted(self._mismatch_probability(found.best))
+        mismatch = yield from limit.counted(self._plateau_probability(found.best))
         return Solved(
             self.posterior,
             found,
@@ -159,7 +159,7 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _mismatch_probability(self, best: Solution) -> Parts[float | None]:
+    def _plateau_probability(self, best: Solution) -> Parts[float | None]:
         """Return the probability of a relaxation that ends; None: it is not asked for."""
         is_asked = self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:

@@ -56,7 +56,7 @@ class SmallMotion:
     Attributes
     ----------
     model : PressModel
-    modes : tuple of Component
+    components : tuple of Component
         Of the whole state.
     by_origin : ndarray, shape (n,)
         By what a state makes the strain origin, as compression [1].
@@ -69,7 +69,7 @@ class SmallMotion:
     """
 
     model: PressModel
-    modes: tuple[Component, ...]
+    components: tuple[Component, ...]
     by_origin: Array
     weight: float = 1.0
     shift: float = 0.0
@@ -94,7 +94,7 @@ class SmallMotion:
             tau [s].
         """
         model, geometry, bending = self.model, self.model.geometry, self.model.bending
-        states = np.array([mode.mean for mode in self.modes])
+        states = np.array([mode.mean for mode in self.components])
         moves = stress * bending - self.by_origin
         own = np.maximum(compression + self.shift + states @ moves, 0.0)
         gradient, by_compression, values = _of_characteristic(model, states, own)
@@ -108,9 +108,9 @@ class SmallMotion:
         values = values - np.log(yields)
         gradient = (gradient + modulus[:, None] * bending) / yields[:, None]
         values -= math.log(geometry.stress_per_force * geometry.length)
-        pairs = zip(gradient, self.modes, strict=True)
+        pairs = zip(gradient, self.components, strict=True)
         variances = np.array([own @ mode.covariance @ own for own, mode in pairs])
-        weights = self.weight * np.array([mode.weight for mode in self.modes])
+        weights = self.weight * np.array([mode.weight for mode in self.components])
         return LogStiffnesses(weights, values, self.variance_factor * np.maximum(variances, 0.0))
 
 

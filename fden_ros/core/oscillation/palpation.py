@@ -109,7 +109,9 @@ def palpated(
 def _unknown(estimate: Estimate) -> Estimate:
     """Return an estimate whose alpha is at an edge, so that nothing of it is known."""
     return estimate._replace(
-        valid=ParameterSet.NONE, known=ParameterSet.NONE, at_edge=ParameterSet.FRACTIONAL_ORDER
+        observable=ParameterSet.NONE,
+        known=ParameterSet.NONE,
+        at_edge=ParameterSet.FRACTIONAL_ORDER,
     )
 
 
@@ -147,7 +149,7 @@ def _estimate(
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
         fractional_order=min(max(order, _LOWEST_ORDER), _HIGHEST_ORDER),
         covariance=covariance,
-        valid=valid,
+        observable=valid,
         known=converged(config, deviations, valid),
         at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
         sample_count=samples,
@@ -167,13 +169,13 @@ def with_nonlinearity(
     value = math.log(nonlinear_stiffness)
     covariance = estimate.covariance.copy()
     covariance[1, 1] = (1.0 - gain) * own
-    valid = estimate.valid | ParameterSet.NONLINEAR_STIFFNESS
+    valid = estimate.observable | ParameterSet.NONLINEAR_STIFFNESS
     return found._replace(
         estimate=estimate._replace(
             log_nonlinear_stiffness=value + gain * (math.log(prior.nonlinear_stiffness) - value),
             covariance=covariance,
             probability_beyond_boundary=1.0,
-            valid=valid,
+            observable=valid,
             known=estimate.known
             | (
                 converged(config, np.sqrt(covariance.diagonal()), valid)

@@ -48,8 +48,8 @@ class SynchronizeConfig:
         1e-4,
         10.0,
     )
-    pairing_window: float = parameter(
-        "synchronize.window",
+    max_wait: float = parameter(
+        "synchronize.max_wait",
         5.0,
         "How long a sample waits, in stamps, for the other stream; or 4 usual steps of its own.",
         "s",
@@ -155,7 +155,7 @@ class Synchronizer:
         """Return what lets forces wait for a stream whose stamps lag by `delay` [s]."""
         limits = JoinLimits(
             max_gap_ns=round(self._config.max_gap * NANOSECONDS),
-            window_ns=round(self._config.pairing_window * NANOSECONDS),
+            window_ns=round(self._config.max_wait * NANOSECONDS),
             delay_ns=round(delay * NANOSECONDS),
             unpaired=unpaired,
             gap=gap,
@@ -233,7 +233,7 @@ class Synchronizer:
 
     def _has_waited(self, oldest: Sample, newest: Sample) -> bool:
         waited_ns = newest.stamp_ns - oldest.stamp_ns
-        window_ns = round(self._config.pairing_window * NANOSECONDS)
+        window_ns = round(self._config.max_wait * NANOSECONDS)
         return oldest.epoch != newest.epoch or waited_ns > window_ns
 
     def _release(self) -> None:
