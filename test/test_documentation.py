@@ -50,9 +50,9 @@ from fden_ros.core.estimation import (
     Estimate,
     ParameterSet,
     claims,
+    hypothesis,
     law_error,
     maximum,
-    posterior_estimator,
     press_estimate,
     scales,
     unknowns,
@@ -373,8 +373,8 @@ DEFAULTS = {parameter.name: parameter.default for parameter in (*PARAMETERS, *NO
 TISSUE_ESTIMATE = "msg_defs/msg/TissueEstimate.msg"
 #: What pages and messages say of numbers of the code, and the numbers.
 SAID = [
-    ("docs/interface.md", "`plateau_probability` above {}", posterior_estimator._MISMATCH),
-    (TISSUE_ESTIMATE, "plateau_probability is above {};", posterior_estimator._MISMATCH),
+    ("docs/interface.md", "`plateau_probability` above {}", hypothesis.MISMATCH),
+    (TISSUE_ESTIMATE, "plateau_probability is above {};", hypothesis.MISMATCH),
     ("docs/interface.md", "more than {:g} standard deviations off the prior", claims.EDGE),
     (TISSUE_ESTIMATE, "over {:g} standard deviations off its prior: see", claims.EDGE),
     ("docs/interface.md", "within {:g} standard deviations of", press_estimate._CONTRADICTION),

@@ -195,7 +195,8 @@ class Account:
     ) -> TissueState:
         is_converged = estimate is not None and estimate.converged
         # Where the newest data are unexplained N/m was wrong by a factor of up to 50.
-        explained = None if self._site.is_doubtful else estimate
+        is_unexplained = self._site.is_doubtful and not self._site.is_mismatch
+        explained = None if is_unexplained else estimate
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.CONVERGED if is_converged else Status.CONVERGING,

@@ -14,8 +14,10 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
+from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
@@ -23,6 +25,8 @@ from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
 LEAST_WEIGHT = 0.01
+#: Probability of a relaxation that ends beyond which it is said [1].
+MISMATCH = 0.95
 #: Least factor by which the stiffness changes [1].
 _LEAST_FACTOR = 0.05
 
@@ -70,6 +74,7 @@ class Hypothesis:
     ) -> None:
         self.past, self.setting, self.events = past, setting, events
         self.solved: Solved | None = None
+        self.plateau: Plateau | None = None  #: as it was asked for last
         self.misses, self.log_weight = 0, -math.inf
         self._filters: list[PressFilter] = []
         # Log evidence of each solution, with the likelihood of what came since.
@@ -148,6 +153,7 @@ class Hypothesis:
             Of all of it, for what was known before the record.
         """
         self.solved, self.misses = solved, 0
+        self.plateau = solved.plateau or self.plateau
         log_evidence += self._log_prior(solved)
         found = solved.solutions
         logs = np.array(found.log_evidence + found.held_log_evidence)
@@ -250,6 +256,16 @@ class Hypothesis:
         for unknown in self.solved.maybe_zero:
             found = [part for one in found for part in with_held(one, unknown)]
         return tuple(one for one in found if one.weight)
+
+    @property
+    def motion(self) -> tuple[PressModel, tuple[Component, ...]] | None:
+        """The model of a small motion and its state; None: there is no solution.
+
+        Where the relaxation ends it is that of a spring beside a Maxwell element, not the law's.
+        """
+        if self.plateau is not None and self.plateau.probability > MISMATCH:
+            return self.plateau.model, (self.plateau.component,)
+        return (self.solved.model, self.tissue_now) if self.solved is not None else None
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:

@@ -23,7 +23,7 @@ from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.hypothesis import Hypothesis, Past
+from fden_ros.core.estimation.hypothesis import MISMATCH, Hypothesis, Past
 from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.mixture import moments
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
@@ -40,8 +40,6 @@ from fden_ros.core.law import Geometry
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
 #: standard deviations off.
 _UNKNOWN_ZERO = 0.01
-#: Probability of a relaxation that ends beyond which it is said [1].
-_MISMATCH = 0.95
 #: The speed at the touch is that of so long before it [s].
 _TOUCH_TIME = 0.1
 #: Work of a time in the air over that of a time in contact [1]: no filter takes samples there, and
@@ -145,7 +143,7 @@ class PosteriorEstimator(Estimator):
         """
         if not self._best.setting.is_bent:
             return self._solved is not None and self._solved.is_contradicted
-        return self._plateau_probability > _MISMATCH
+        return self._plateau_probability > MISMATCH
 
     @property
     def _plateau_probability(self) -> float:
@@ -287,8 +285,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.solved is not None and one.solved.plateau_probability is not None:
-                one.past.plateau_probability = one.solved.plateau_probability
+            if one.plateau is not None:
+                one.past.plateau_probability = one.plateau.probability
 
     def _remember(self, stress: float) -> None:
         """Take the mean stress of a block into the tissue's memory."""

@@ -68,15 +68,10 @@ def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate |
     valid, known, at_edge = (_common(part) for part in zip(*claims, strict=True))
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     motions = tuple(
-        SmallMotion(
-            one.solved.model,
-            tissue,
-            one.setting.by_origin(one.solved.model.size),
-            weight,
-            one.past.shift,
-        )
-        for (weight, one), tissue in zip(weighed, tissues, strict=True)
-        if one.solved is not None
+        SmallMotion(model, own, one.setting.by_origin(model.size), weight, one.past.shift)
+        for weight, one in weighed
+        if one.motion is not None
+        for model, own in (one.motion,)
     )
     own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
     whole_state = moments(own_tissue)

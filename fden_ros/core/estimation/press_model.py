@@ -40,6 +40,7 @@ from fden_ros.core.law import (
     creep_slopes,
     creep_weights,
     elastic_responses,
+    relaxation_after,
     relaxation_slopes,
     relaxation_weights,
 )
@@ -140,6 +141,13 @@ class PressModel:
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)
+
+    def relaxation_after(self, orders: Array, time: float) -> tuple[Array, Array]:
+        """Return what is left of the weights after a time [s], and its derivatives by the order.
+
+        Each of shape (n, RATE_COUNT + 1), of orders (n,).
+        """
+        return relaxation_after(orders, time)
 
     def evaluate(
         self, points: Points, state: Array, going_on: ResponseState | None = None

@@ -27,7 +27,7 @@ from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.proposals.plateau import mismatch_log_odds
+from fden_ros.core.estimation.proposals.plateau import Plateau, plateau_of
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
@@ -51,8 +51,8 @@ class Solved:
     solutions: Solutions
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
-    #: Of a relaxation that ends; None: it was not asked for, or the press cannot tell.
-    plateau_probability: float | None = None
+    #: A relaxation that ends; None: it was not asked for, or the press cannot tell.
+    plateau: Plateau | None = None
 
     @property
     def model(self) -> PressModel:
@@ -136,13 +136,13 @@ class Search:
         limit = self.posterior.limit = self._limit(_MOST_EVALUATIONS)
         found = yield from limit.counted(self._solutions())
         limit = self.posterior.limit = self._limit(_MOST_OF_RIVALS)
-        mismatch = yield from limit.counted(self._plateau_probability(found.best))
+        plateau = yield from limit.counted(self._plateau(found.best))
         return Solved(
             self.posterior,
             found,
             self._law_error(found.best),
             contradicts(found.best.residuals),
-            mismatch,
+            plateau,
         )
 
     def _limit(self, evaluations: float) -> Limit:
@@ -159,15 +159,12 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _plateau_probability(self, best: Solution) -> Parts[float | None]:
-        """Return the probability of a relaxation that ends; None: it is not asked for."""
+    def _plateau(self, best: Solution) -> Parts[Plateau | None]:
+        """Return a relaxation that ends, against the law; None: it is not asked for."""
         is_asked = self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
-        odds = yield from mismatch_log_odds(self.points, best, self.posterior, self.made)
-        if odds is None:
-            return None
-        return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
+        return (yield from plateau_of(self.points, best, self.posterior, self.made))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)

@@ -34,7 +34,7 @@ from fden_ros.core.estimation.unknowns import (
     ORDER,
     local_splines,
 )
-from fden_ros.core.law import MAX_EXPONENT, phi, relaxation_after
+from fden_ros.core.law import MAX_EXPONENT, phi
 
 #: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
 #: of this share [1].
@@ -177,7 +177,7 @@ def _of_characteristic(
 
 def _of_relaxation(model: PressModel, states: Array, time: float) -> tuple[Array, Array]:
     """Return ln E at a time, (modes,), and its derivatives by the state, (modes, n)."""
-    parts, slopes = relaxation_after(states[:, ORDER], time)
+    parts, slopes = model.relaxation_after(states[:, ORDER], time)
     gradient = np.zeros_like(states)
     if model.is_bent:
         hats = KERNEL_HATS[: parts.shape[1]]

@@ -16,11 +16,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.maximum import NEARLY_FOUND
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
@@ -28,7 +30,7 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
-from fden_ros.core.law import RATES, relaxation_weights
+from fden_ros.core.law import RATES, left_after, relaxation_weights
 
 #: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
 #: one that is over at once, as that of a dashpot.
@@ -59,14 +61,33 @@ class _Maxwell(PressModel):
         slopes[self.rate] = 2.0 * odds / (1.0 - order) ** 2
         return weights, slopes
 
+    def relaxation_after(self, orders: Array, time: float) -> tuple[Array, Array]:
+        """Return what is left of the weights after a time [s], and its derivatives by o."""
+        both = np.array([self.relaxation(order) for order in orders])
+        weights, slopes = np.moveaxis(both[..., :-1] * left_after(time)[:-1], 1, 0)
+        return weights, slopes
 
-def mismatch_log_odds(
+
+class Plateau(NamedTuple):
+    """A relaxation that ends, against the law."""
+
+    log_odds: float  #: logarithm of its evidence over the law's [1]
+    model: PressModel  #: of the likeliest rate
+    component: Component  #: its posterior
+
+    @property
+    def probability(self) -> float:
+        """Where both are as likely before the data [1]."""
+        return 1.0 / (1.0 + math.exp(min(-self.log_odds, 700.0)))
+
+
+def plateau_of(
     points: Points,
     solution: Solution,
     posterior: Posterior,
     made: Callable[[type[PressModel]], Posterior],
-) -> Parts[float | None]:
-    """Return the log evidence of the rival over that of the power law; None: it cost too much.
+) -> Parts[Plateau | None]:
+    """Return the rival against the power law; None: it cost too much.
 
     Parameters
     ----------
@@ -85,8 +106,11 @@ def mismatch_log_odds(
     straight = _straight(_held(made(PressModel), start))
     straight.limit = posterior.limit
     law = yield from _solution(straight, points, start, first)
+    likeliest = Plateau(
+        -math.inf, posterior.model, Component(1.0, solution.mean, solution.covariance)
+    )
     if law is None:
-        return -math.inf
+        return likeliest
     # Or with the errors of its kernel: on beef no law without them explains a hold.
     bent = _held(made(PressModel), solution.maximum.state)
     bent.limit = posterior.limit
@@ -109,12 +133,15 @@ def mismatch_log_odds(
         if found is not None:
             evidences[rate] = evidence_under(rival, points, found, errors, rival.grid)
             yield cost_of(points, rival.grid)
+            if evidences[rate] > likeliest.log_odds:
+                own = Component(1.0, found.mean, found.covariance)
+                likeliest = Plateau(evidences[rate], rival.model, own)
             at, scales = found.maximum.state, found.best_scales
         if posterior.limit.is_reached:
             break
-    best = max(evidences.values(), default=-math.inf)
+    best = likeliest.log_odds
     if not math.isfinite(best):
-        return None if posterior.limit.is_reached else -math.inf
+        return None if posterior.limit.is_reached else likeliest
     # A rate that was not tried has none: it can only be more.
     gain = best + math.log(sum(math.exp(e - best) for e in evidences.values()) / wanted.size)
     of_law = law.log_evidence
@@ -124,7 +151,7 @@ def mismatch_log_odds(
     if gain < 0.0 and posterior.limit.is_reached:
         return None
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
-    return gain / max(float(np.mean(solution.residuals**2)), 1.0)
+    return likeliest._replace(log_odds=gain / max(float(np.mean(solution.residuals**2)), 1.0))
 
 
 def _coarse_to_fine(rates: list[int], evidences: Mapping[int, float]) -> Iterator[int]:
