@@ -67,14 +67,16 @@ class Schedule:
         """Return the care of a solution that begins now; `has_slowed`: the motion of its record.
 
         Whether the relaxation ends is asked once the motion has slowed, or the press is over, and
-        again where the press is longer by a half.
+        again where the press is longer by a half; on a ramp, only whether it is over at once.
         """
         care = Care.EXACT if self.is_over else least
         if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
             care = max(care, Care.FROM_STARTS)
         can_tell = best.solved is not None and best.setting.can_tell_mismatch
         shows_relaxation = has_slowed or self.is_over
-        if can_tell and shows_relaxation and elapsed >= _ASKED_RATIO * self._asked_at:
+        if can_tell and not shows_relaxation and care is Care.FROM_STARTS:
+            care = Care.ASKED_AT_ONCE
+        elif can_tell and shows_relaxation and elapsed >= _ASKED_RATIO * self._asked_at:
             self._asked_at = elapsed
             care = Care.LAST if self.is_over else max(care, Care.ASKED)
         if care >= Care.FROM_STARTS:

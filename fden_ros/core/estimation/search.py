@@ -40,7 +40,7 @@ _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
 _MOST_EVALUATIONS = 200
 #: And the question whether the relaxation ends [1].
-_MOST_OF_RIVALS = 200
+_MOST_OF_RIVALS = 400
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,7 @@ class Care(enum.IntEnum):
 
     TRACKED = enum.auto()  #: from the last maxima
     FROM_STARTS = enum.auto()  #: and from all starts
+    ASKED_AT_ONCE = enum.auto()  #: and where the law is bent, whether the tissue relaxes at once
     ASKED = enum.auto()  #: and it is asked whether the relaxation ends
     EXACT = enum.auto()  #: maxima are found to CONVERGED
     LAST = enum.auto()  #: the press is over
@@ -161,10 +162,14 @@ class Search:
 
     def _plateau(self, best: Solution) -> Parts[Plateau | None]:
         """Return a relaxation that ends, against the law; None: it is not asked for."""
-        is_asked = self.care in (Care.ASKED, Care.LAST)
+        at_once = self.care is Care.ASKED_AT_ONCE
+        is_asked = at_once or self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
-        return (yield from plateau_of(self.points, best, self.posterior, self.made))
+        if at_once and best.best_scales.kernel < self.setting.config.uncertainty.characteristic_sd:
+            return None  # the law needs no other relaxation
+        found = plateau_of(self.points, best, self.posterior, self.made, at_once=at_once)
+        return (yield from found)
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)

@@ -39,6 +39,8 @@ _SLOWEST, _FASTEST = 0.3, 600.0
 #: [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
 #: a tissue must not decide between two laws.
 _PART, _PART_SD, _LOG_G_SD = 0.5, 0.3, 1.0
+#: The fastest rates that are tried of a relaxation that is over at once [1].
+_AT_ONCE = 3
 #: Precision with which the rig is held [1].
 _HELD = 1e6
 
@@ -86,6 +88,8 @@ def plateau_of(
     solution: Solution,
     posterior: Posterior,
     made: Callable[[type[PressModel]], Posterior],
+    *,
+    at_once: bool = False,
 ) -> Parts[Plateau | None]:
     """Return the rival against the power law; None: it cost too much.
 
@@ -98,6 +102,8 @@ def plateau_of(
         Of which that is a solution.
     made : callable
         Returns the posterior with a model of another class.
+    at_once : bool
+        Only whether the relaxation is over at once: a ramp hardly shows another.
     """
     elapsed = float(points.times[-1] - points.times[0])
     start = solution.maximum.state.copy()
@@ -116,6 +122,8 @@ def plateau_of(
     bent.limit = posterior.limit
     whole = yield from _solution(bent, points, solution.maximum.state, solution.best_scales)
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
+    if at_once:
+        wanted = wanted[-_AT_ONCE:]
     errors = law.maximum.errors
     # The stress after the time seen is about the same.
     now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
@@ -123,6 +131,7 @@ def plateau_of(
     at[ORDER] = _PART
     at[LOG_G] += math.log(max(now, 1e-9))
     evidences: dict[int, float] = {}
+    rival_solution = solution
     for rate in _coarse_to_fine(wanted.tolist(), evidences):
         rival = _straight(_held(made(_Maxwell), at))
         rival.limit = posterior.limit
@@ -135,7 +144,7 @@ def plateau_of(
             yield cost_of(points, rival.grid)
             if evidences[rate] > likeliest.log_odds:
                 own = Component(1.0, found.mean, found.covariance)
-                likeliest = Plateau(evidences[rate], rival.model, own)
+                likeliest, rival_solution = Plateau(evidences[rate], rival.model, own), found
             at, scales = found.maximum.state, found.best_scales
         if posterior.limit.is_reached:
             break
@@ -151,7 +160,8 @@ def plateau_of(
     if gain < 0.0 and posterior.limit.is_reached:
         return None
     # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
-    return likeliest._replace(log_odds=gain / max(float(np.mean(solution.residuals**2)), 1.0))
+    misfit = min(float(np.mean(one.residuals**2)) for one in (solution, rival_solution))
+    return likeliest._replace(log_odds=gain / max(misfit, 1.0))
 
 
 def _coarse_to_fine(rates: list[int], evidences: Mapping[int, float]) -> Iterator[int]:
