@@ -36,7 +36,7 @@ from fden_ros.core.estimation.posterior import NEARLY_FOUND
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
 from fden_ros.core.estimation.search import Search
-from fden_ros.core.estimation.unknowns import LOG_GN
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import Column, FdenModel, Tissue
 
@@ -284,6 +284,23 @@ def test_a_bend_keeps_its_weight_beside_a_likelier_linear_law() -> None:
     # The maximum below the boundary is the linear law's own: that stands for it.
     assert weights[0] == 0.0 and weights[1] > 0.01 and weights[2] > 0.01
     assert whole.best.is_solved
+
+
+def test_a_linear_law_is_not_lost_where_the_bend_is_far_from_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(linear, "_FIRST_STEPS", 0)
+    posterior, points, found = maxima_of(2, 0.04)
+    near = found.best.maximum.state
+    far = replace(found.best.maximum, state=near.copy())
+    far.state[LOG_G] += 6.0
+    far.state[LOG_GN] = 4.5
+    bend = Solutions((replace(found.best, maximum=far),), (0.0,))
+    assert not ended(linear.propose(posterior, points, bend, 0.04)).held
+    known = replace(bend, earlier=(near,))
+    ((evidence, law),) = ended(linear.propose(posterior, points, known, 0.04)).held
+    assert math.isfinite(evidence)
+    assert law.mean[LOG_G] == pytest.approx(near[LOG_G], abs=0.3)
 
 
 def test_what_holds_an_unknown_leaves_it_no_variance() -> None:

@@ -47,6 +47,8 @@ class Solutions:
     #: Solutions that hold an unknown, and their log evidence.
     held: tuple[Solution, ...] = ()
     held_log_evidence: tuple[float, ...] = ()
+    #: States of those of a shorter record: where to begin [1].
+    earlier: tuple[Array, ...] = ()
 
     @property
     def best(self) -> Solution:

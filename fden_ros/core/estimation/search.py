@@ -8,7 +8,7 @@ from __future__ import annotations
 import enum
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -152,6 +152,10 @@ class Search:
 
     def _solutions(self) -> Parts[Solutions]:
         maxima, strain = yield from self._maxima()
+        if self.before is not None:
+            held = self.before.solutions.held
+            earlier = tuple(self.before.grown(one, self.posterior) for one in held)
+            maxima = replace(maxima, earlier=earlier)
         return (yield from completed(self.posterior, self.points, maxima, strain))
 
     def _law_error(self, best: Solution) -> LawError | None:

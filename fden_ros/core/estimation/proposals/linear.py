@@ -17,9 +17,10 @@ from dataclasses import replace
 
 from scipy.special import log_ndtr
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
@@ -41,8 +42,10 @@ def propose(
     state = best.maximum.state
     known: Evaluation | None = best.maximum.evaluation
     if state[LOG_GN] > boundary:
-        state, known = state.copy(), None
-        state[LOG_GN] = boundary
+        starts = [state.copy(), *(one.copy() for one in found.earlier)]
+        for one in starts:
+            one[LOG_GN] = boundary
+        state, known = min(starts, key=lambda one: _misfit(posterior, points, one)), None
     scales = best.best_scales
     linear = yield from posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
     if not linear.is_solved:
@@ -68,6 +71,15 @@ def propose(
         tuple(_log_share_beyond(one, boundary) for one in found.maxima),
         best,
     )
+
+
+def _misfit(posterior: Posterior, points: Points, state: Array) -> float:
+    """Return the sum of squares of what a state leaves of the stress [Pa^2]."""
+    try:
+        off = points.stresses - posterior.model.response(points, state).stress
+    except UNSOLVABLE:
+        return math.inf
+    return float(off @ off)
 
 
 def _log_share_beyond(solution: Solution, boundary: float) -> float:
