@@ -12,10 +12,11 @@ import pytest
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Component, EstimatorConfig, log_stiffness
 from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.proposals.plateau import _Maxwell
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, ORIGIN, unknowns_of
-from fden_ros.core.law import FlatPunch, Geometry, Sphere
+from fden_ros.core.law import RATES, FlatPunch, Geometry, Sphere
 
 FLAT, SPHERE = FlatPunch(area=1e-4, thickness=0.02), Sphere(radius=0.01)
 THIN = Sphere(radius=0.01, thickness=0.015)
@@ -102,6 +103,32 @@ def test_modes_that_disagree_widen_it():
     found = log_stiffness([SmallMotion(model, modes, by_origin(model))], 0.25, 0.0, TIME_SCALE)
     assert found is not None
     assert math.sqrt(found[1]) == pytest.approx(0.5 * math.log(2.0), rel=1e-6)
+
+
+def test_a_relaxation_that_was_not_seen_counts_in_its_variance():
+    model = bent_model(FLAT, compliance_sd=0.0)
+    mode = Component(1.0, state_of(model, 4), 1e-4 * np.eye(model.size))
+    known = SmallMotion(model, (mode,), by_origin(model))
+    values = [
+        log_stiffness([motion], 0.25, 0.0, TIME_SCALE)
+        for motion in (known, replace(known, unseen=0.01))
+    ]
+    assert values[1] == pytest.approx((values[0][0], values[0][1] + 0.01))
+
+
+def test_where_the_relaxation_ends_it_is_that_of_a_spring_beside_a_maxwell_element():
+    law = bent_model(FLAT, compliance_sd=0.0)
+    state = state_of(law, 4)
+    state[law.kernel] = state[law.characteristic] = 0.0
+    state[LOG_G], state[LOG_GN], state[ORDER] = math.log(800.0), math.log(2.0), 0.6
+    model = _Maxwell(law.unknowns, FLAT, is_bent=True, last_knot=law.last_knot)
+    model.rate = 18
+    mode = Component(1.0, state, np.zeros((model.size, model.size)))
+    found = log_stiffness([SmallMotion(model, (mode,), by_origin(model))], 0.25, 0.0, TIME_SCALE)
+    assert found is not None
+    relaxed = 1.0 + (0.6 / 0.4) ** 2 * math.exp(-float(RATES[18]) * TIME_SCALE)
+    expected = 800.0 * relaxed / FLAT.stress_per_force / FLAT.length
+    assert math.exp(found[0]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_tool_that_yields_makes_it_less():

@@ -126,6 +126,11 @@ class PressPosterior:
         return self.best.change_count
 
     @property
+    def shows_relaxation(self) -> bool:
+        """Whether the motion had slowed when a solution was begun."""
+        return self._schedule.has_slowed
+
+    @property
     def is_working(self) -> bool:
         """Whether anything is under way."""
         return self._begun is not None or self._watch.is_working

@@ -31,6 +31,8 @@ class Schedule:
         So far.
     is_over : bool
         The press is.
+    has_slowed : bool
+        The motion had when a solution was begun.
     """
 
     def __init__(self) -> None:
@@ -38,6 +40,7 @@ class Schedule:
         self._blocks_at_starts = 0
         self._elapsed = self._compression = self._asked_at = 0.0
         self._shows_delay = False
+        self.has_slowed = False
 
     @property
     def can_begin(self) -> bool:
@@ -69,6 +72,7 @@ class Schedule:
         Whether the relaxation ends is asked once the motion has slowed, or the press is over, and
         again where the press is longer by a half; on a ramp, only whether it is over at once.
         """
+        self.has_slowed |= has_slowed
         care = Care.EXACT if self.is_over else least
         if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
             care = max(care, Care.FROM_STARTS)

@@ -66,6 +66,8 @@ class SmallMotion:
         By which its compressions are larger than those that are asked for [1].
     variance_factor : float
         By which contradictions of the data widen the variances [1].
+    unseen : float
+        Variance of ln k for a relaxation that has not been seen [1].
     """
 
     model: PressModel
@@ -74,6 +76,7 @@ class SmallMotion:
     weight: float = 1.0
     shift: float = 0.0
     variance_factor: float = 1.0
+    unseen: float = 0.0
 
     def widened(self, factor: float) -> SmallMotion:
         """Return it with more variance."""
@@ -111,7 +114,8 @@ class SmallMotion:
         pairs = zip(gradient, self.components, strict=True)
         variances = np.array([own @ mode.covariance @ own for own, mode in pairs])
         weights = self.weight * np.array([mode.weight for mode in self.components])
-        return LogStiffnesses(weights, values, self.variance_factor * np.maximum(variances, 0.0))
+        variances = self.variance_factor * np.maximum(variances, 0.0) + self.unseen
+        return LogStiffnesses(weights, values, variances)
 
 
 def log_stiffness(
