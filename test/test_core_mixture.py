@@ -31,7 +31,7 @@ from fden_ros.core.estimation import (
 )
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
-from fden_ros.core.estimation.mixture import MaybeZero, with_held
+from fden_ros.core.estimation.mixture import MaybeZero, weights_of, with_held
 from fden_ros.core.estimation.posterior import NEARLY_FOUND
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
@@ -284,6 +284,11 @@ def test_a_bend_keeps_its_weight_beside_a_likelier_linear_law() -> None:
     # The maximum below the boundary is the linear law's own: that stands for it.
     assert weights[0] == 0.0 and weights[1] > 0.01 and weights[2] > 0.01
     assert whole.best.is_solved
+
+
+@pytest.mark.parametrize("size", [1.0, 1e17, 1e300])
+def test_weights_add_up_to_1_however_small_all_of_them_are(size: float) -> None:
+    assert weights_of([-size, -2.0 * size]).sum() == pytest.approx(1.0)
 
 
 def test_a_linear_law_is_not_lost_where_the_bend_is_far_from_it(

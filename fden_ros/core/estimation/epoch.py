@@ -107,6 +107,6 @@ def kept(solved: Sequence[Hypothesis], missed: Sequence[Hypothesis]) -> list[Hyp
     """Return the hypotheses that are not ruled out: by their evidence, or lost again and again."""
     most = max(one.log_weight for one in solved)
     return [
-        *(one for one in solved if one.log_weight > most - NEGLIGIBLE),
+        *(one for one in solved if one.log_weight >= most - NEGLIGIBLE),
         *(one for one in missed if one.misses < _MOST_MISSES),
     ]

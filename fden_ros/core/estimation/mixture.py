@@ -52,7 +52,8 @@ def moments(components: Sequence[Component]) -> tuple[Array, Array]:
 def weights_of(log_weights: Sequence[float] | Array) -> Array:
     """Return weights that add up to 1, (n,): 0 where one is negligible beside the largest."""
     logs = np.array(log_weights)
-    weights = np.where(logs > logs.max() - NEGLIGIBLE, np.exp(logs - logs.max()), 0.0)
+    # The largest itself counts where rounding leaves no room below it.
+    weights = np.where(logs >= logs.max() - NEGLIGIBLE, np.exp(logs - logs.max()), 0.0)
     result: Array = weights / weights.sum()
     return result
 
