@@ -26,15 +26,15 @@ from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
 from fden_ros.core.law import RATES, left_after, relaxation_weights
 
-#: Rates of the rival, times the time since the touch [1]: from a relaxation that has just begun to
-#: one that is over at once, as that of a dashpot.
-_SLOWEST, _FASTEST = 0.3, 600.0
+#: Rates of the rival: times the time since the touch of one that has just begun, and times that of
+#: a block of one that is over at once, as a dashpot's is [1].
+_SLOWEST, _FASTEST = 0.3, 10.0
 #: Prior of o, which says how much relaxes, and of the law's order: mean and standard deviation
 #: [1]. That of ln G is as wide as this for both, about what the record says [1]: what is stated of
 #: a tissue must not decide between two laws.
@@ -121,7 +121,7 @@ def plateau_of(
     bent = _held(made(PressModel), solution.maximum.state)
     bent.limit = posterior.limit
     whole = yield from _solution(bent, points, solution.maximum.state, solution.best_scales)
-    wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * elapsed < _FASTEST))
+    wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * BLOCK_TIME < _FASTEST))
     if at_once:
         wanted = wanted[-_AT_ONCE:]
     errors = law.maximum.errors
