@@ -84,7 +84,7 @@ def add_machine_options(parser: argparse.ArgumentParser) -> None:
         "--from-touch",
         action=argparse.BooleanOptionalAction,
         help="it begins at the touch or at a preload, tared, without air. The first sample is the "
-        "strain origin, the force's bias is 0, and the rig is rigid (config/bench.yaml). All but "
+        "contact point, the force's bias is 0, and the rig is rigid (config/bench.yaml). All but "
         "the rig is the default where the force rises from zero with the first motion",
     )
     size = as_argument(_size)

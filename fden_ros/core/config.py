@@ -41,7 +41,7 @@ class PipelineConfig:
     origin_source: str = parameter(
         "origin.source",
         "touch",
-        "Strain origin: found from the force at the touch and refined, or given as a "
+        "Contact point: found from the force at the touch and refined, or given as a "
         "displacement.",
         choices=("touch", "given"),
     )

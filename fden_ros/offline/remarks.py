@@ -17,7 +17,7 @@ from fden_ros.written import written
 _BY_FLAG = {
     Flag.TOUCH_NOT_OBSERVED: (
         "The touch of this tissue was not observed: the force was there when the data began, it "
-        "rose unseen in noise, or the probe was dragged here. There is no strain origin, and no "
+        "rose unseen in noise, or the probe was dragged here. There is no contact point, and no "
         "estimate for this site."
     ),
     Flag.GAP: "Samples are missing within this site's memory.",
