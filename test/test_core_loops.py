@@ -141,6 +141,7 @@ CASES = {
     "sphere on a layer": Case(
         replace(BASE, bend=BEND, exponent=1.5, compliance=0.05, series=THIN), *PRESS
     ),
+    "another power": Case(replace(BASE, exponent=2.0, series=THIN), *PRESS),
     "two-sided": Case(replace(BASE, is_one_sided=False), *PRESS),
     "compliance": Case(replace(BASE, compliance=0.05), *PRESS),
     "compliance at a free surface": Case(

@@ -54,7 +54,7 @@ class LawState:
     #: G [Pa s^alpha] and Gn [1].
     linear_stiffness: float
     nonlinear_stiffness: float
-    exponent: float  #: strain is compression to this power [1]: 1, or 1.5 for a sphere
+    exponent: float  #: strain is compression to this power [1]: 1.5 for a sphere
     is_one_sided: bool  #: nothing pulls at the probe: without compression there is no stress
     compliance: float  #: what the stress takes off the compression [1/Pa]
     weights: Array  #: of the exponentials; then of those slower and of those faster, (RATES + 2,)

@@ -29,7 +29,7 @@ enum { BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT };
 
 typedef struct {
     double g, gn, power, one_sided, compliance, slow, fast;
-    const double *series; /* TERMS of them: 1 + sum of c_k u^(k/2) raises the strain u^1.5 */
+    const double *series; /* TERMS of them: 1 + sum of c_k u^(k/2) raises the strain u^power */
     int knots;
     double last_knot;
     const double *bend;

@@ -50,10 +50,12 @@ static Elastic elastic_of(const Law *law, double compression)
         double root = sqrt(size), factor = 0.0, steep = 0.0;
         for (int k = TERMS; k > 0; k--) {
             factor = root * (factor + law->series[k - 1]);
-            steep = root * (steep + (1.0 + k / 3.0) * law->series[k - 1]);
+            steep = root * (steep + (1.0 + 0.5 * k / law->power) * law->series[k - 1]);
         }
-        strain = size * root * (1.0 + factor);
-        slope = 1.5 * root * (1.0 + steep);
+        /* A sphere needs no pow(). */
+        double lead = law->power == 1.5 ? root : pow(size, law->power - 1.0);
+        strain = size * lead * (1.0 + factor);
+        slope = law->power * lead * (1.0 + steep);
     }
     double scaled = law->gn * strain, by_strain, by_log_gn, ratio, bend = 0.0, tilt = 0.0;
     double excess = scaled - 1.0, capped = excess < LARGEST_EXPONENT ? excess : LARGEST_EXPONENT;
