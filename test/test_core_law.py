@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.special import gamma
 
 from fden_ros.core.law import (
     FlatPunch,
+    Geometry,
     PassThrough,
     Sphere,
     StressMemory,
@@ -96,12 +98,31 @@ def test_apparent_stiffness_is_the_relaxation_of_a_step():
 # Geometries: force and displacement to stress and strain
 
 
+@dataclass(frozen=True)
+class Cone(Geometry):
+    """Sneddon's, by its half-angle: F = 2/pi E tan(theta) d^2, with the strain (d/H)^2."""
+
+    exponent = 2.0
+    half_angle: float
+    height: float
+    is_stated = True
+
+    @property
+    def length(self):
+        return self.height
+
+    @property
+    def stress_per_force(self):
+        return math.pi / (2.0 * math.tan(self.half_angle) * self.height**2)
+
+
 GEOMETRIES = [
     FlatPunch(1e-4, 0.02),
     FlatPunch(1e-4, 0.02, 0.5),
     Sphere(0.005),
     Sphere(0.005, 0.004),
     Sphere(0.01, 0.004, is_bonded=False),
+    Cone(0.7, 0.005),
     TorsionalRheometer(0.01, 0.005),
     PassThrough(),
 ]
@@ -168,7 +189,10 @@ def test_slope_is_the_derivative_of_the_strain_and_compression_its_inverse(geome
     assert geometry.compression(geometry.strain(compression)) == pytest.approx(compression)
     step = 1e-6 * compression
     difference = geometry.strain(compression + step) - geometry.strain(compression - step)
-    assert difference / (2.0 * step) == pytest.approx(geometry.strain_slope(compression), rel=1e-6)
+    slope = geometry.strain_slope(compression)
+    assert difference / (2.0 * step) == pytest.approx(slope, rel=1e-6)
+    many = geometry.strains(np.array([compression]))
+    assert (*many.values, *many.slopes) == pytest.approx((geometry.strain(compression), slope))
 
 
 # The memory of the stress, against the full memory

@@ -36,6 +36,7 @@ from fden_ros.parameters import (
     read_parameter_file,
     tool_weight,
 )
+from fden_ros.parameters.table import parameter_named
 from fden_ros.ros.inputs import Inputs
 from simulation.disturbance import Disturbances, SurfaceMotion
 from simulation.scenario import (
@@ -112,6 +113,12 @@ SPHERE = {"geometry.kind": "sphere", "geometry.radius": 0.01}
 )
 def test_geometry_is_made_of_its_parameters(values, geometry):
     assert pipeline_config(check(values)).geometry == geometry
+
+
+@pytest.mark.parametrize("kind", parameter_named("geometry.kind").choices)
+def test_the_sizes_of_a_geometry_are_parameters(kind):
+    sizes = check({"geometry.kind": kind}).geometry.build().sizes
+    assert {f"geometry.{size}" for size in sizes} <= {parameter.name for parameter in PARAMETERS}
 
 
 def test_no_default_stands_twice():

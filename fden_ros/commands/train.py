@@ -161,14 +161,9 @@ def _unlearned(sources: Sequence[Source], parts: Sequence[Contacts]) -> dict[str
 
 
 def _geometry(parameters: Parameters) -> dict[str, Any]:
-    kind = parameters.geometry.kind
-    sizes = {
-        "flat_punch": ("area", "thickness", "hayes"),
-        "sphere": ("radius", "thickness"),
-        "torsional_rheometer": ("radius", "thickness"),
-        "pass_through": (),
-    }[kind]
-    return {"kind": kind} | {name: getattr(parameters.geometry, name) for name in sizes}
+    geometry = parameters.geometry
+    sizes = geometry.build().sizes
+    return {"kind": geometry.kind} | {name: getattr(geometry, name) for name in sizes}
 
 
 def _warnings(contacts: Contacts, result: Check) -> list[str]:

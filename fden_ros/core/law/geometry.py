@@ -44,6 +44,7 @@ class Geometry(ABC):
     unit: ClassVar[str] = "N"  #: of what is measured as the force
     exponent: ClassVar[float] = 1.0  #: of that power, the first [1]
     is_one_sided: ClassVar[bool] = True  #: the tissue lets go of the probe, and cannot pull at it
+    sizes: ClassVar[tuple[str, ...]] = ()  #: what is stated of it, parameters of `geometry`
     #: How it is stated in a parameter file.
     example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
     #: Whether its sizes are those of a probe, not numbers that stand in for them: else nothing can
@@ -81,16 +82,22 @@ class Geometry(ABC):
         return 1.0
 
     def strain(self, compression: float) -> float:
-        """Return the strain x [1] at a compression from the strain origin [1]."""
-        return compression
+        """Return the strain x [1] at a compression from the strain origin [1].
+
+        Of another power than 1 it is 0 above the surface: there is no contact.
+        """
+        power = self.exponent
+        return compression if power == 1.0 else max(compression, 0.0) ** power
 
     def strain_slope(self, compression: float) -> float:
         """Return dx/du [1] there."""
-        return 1.0
+        power = self.exponent
+        return 1.0 if power == 1.0 else power * max(compression, 0.0) ** (power - 1.0)
 
     def compression(self, strain: float) -> float:
         """Return the compression [1] at a strain in contact: the inverse of `strain`."""
-        return strain
+        power = self.exponent
+        return strain if power == 1.0 else max(strain, 0.0) ** (1.0 / power)
 
     def strains(self, sizes: Array) -> Strains:
         """Return strains, slopes and bends at compressions that are not negative [1]."""
@@ -113,6 +120,7 @@ class FlatPunch(Geometry):
     """A flat-ended probe on tissue of known thickness: stress F/A, strain d/h."""
 
     kind = "flat_punch"
+    sizes = "area", "thickness", "hayes"
     area: float  #: area of the probe's face A [m^2]
     thickness: float  #: thickness of the tissue h [m]
     #: Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of the
@@ -165,6 +173,7 @@ class Sphere(Geometry):
 
     kind = "sphere"
     exponent = 1.5
+    sizes = "radius", "thickness"
     example = "kind: sphere, radius: 0.005, thickness: 0.02"
     radius: float  #: radius of the tip R [m]
     thickness: float = math.inf  #: of the tissue, on a rigid base [m]; infinite: a half-space
@@ -255,6 +264,7 @@ class TorsionalRheometer(Geometry):
     kind = "torsional_rheometer"
     unit = "N m"
     is_one_sided = False
+    sizes = "radius", "thickness"
     example = "kind: torsional_rheometer, radius: 0.01, thickness: 0.005"
     #: Radius of the sample R [m]. The paper prints 20 mm for a sample of 20 mm in diameter: a
     #: factor of 8 in stress.
