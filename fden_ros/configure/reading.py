@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from fden_ros.configure.streams import Streams
 from fden_ros.configure.transforms import FrameTree
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.parameters import check
+from fden_ros.parameters import FORCES, PLACES, check
 from fden_ros.progress import progress
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
@@ -32,12 +33,9 @@ MESSAGES = {
     for name in ("force", "displacement")
     for value, type_name in TYPE_NAMES[name].items()
 } | {TRANSFORMS: "tf"}
-#: Field of each that is a vector; of joints all count.
-_VECTORS = {
-    "wrench": "wrench.force",
-    "pose": "pose.position",
-    "transform": "transform.translation",
-    "point": "point",
+#: By type those that have a vector or a number; of joints all count.
+_KINDS = {
+    kind.type_name: kind for kind in (*FORCES.values(), *PLACES.values()) if not kind.is_of_joints
 }
 #: Fewer samples of a stream say nothing.
 _LEAST_SAMPLES = 50
@@ -166,8 +164,8 @@ class Column:
 
     def __post_init__(self) -> None:
         self._decode = decoder_of(self.topic)
-        self._kind = MESSAGES.get(self.topic.type_name)
-        path = self.field or _VECTORS.get(self._kind or "")
+        self._kind = None if self.field else _KINDS.get(self.topic.type_name)
+        path = self.field or (self._kind.field if self._kind is not None else "")
         self._path = FieldPath(path) if path else None
         self.stamps: list[int] = []
         self.values: list[tuple[float, ...]] = []
@@ -196,8 +194,8 @@ class Column:
         self.frame = self.frame or str(getattr(header, "frame_id", ""))
         self.stamps.append(stamp)
         self.values.append(value)
-        if self._kind == "wrench" and not self.field:
-            torque = message.wrench.torque
+        if self._kind is not None and self._kind.torque:
+            torque = attrgetter(self._kind.torque)(message)
             self.torques.append((torque.x, torque.y, torque.z))
         turn = self._path.orientation_beside(message) if self._path is not None else None
         if self.stream == "displacement" and turn is not None:

@@ -27,6 +27,7 @@ from fden_ros.parameters.files import (
     read_sections,
     values_for,
 )
+from fden_ros.parameters.message_kinds import FORCES, PLACES, MessageKind, kind_of
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     frames_config,
@@ -49,10 +50,13 @@ from fden_ros.parameters.table import (
 __all__ = [
     "ATTENTION_LINE",
     "DEFAULT_HARDWARE_ID",
+    "FORCES",
     "LIVE_LINE",
     "NODE_PARAMETERS",
     "OPEN_AXIS",
     "PARAMETERS",
+    "PLACES",
+    "MessageKind",
     "Parameter",
     "Parameters",
     "Section",
@@ -61,6 +65,7 @@ __all__ = [
     "check_types",
     "frames_config",
     "identifier_values",
+    "kind_of",
     "live_topics",
     "moves_probe",
     "open_axes",

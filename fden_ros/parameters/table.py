@@ -21,6 +21,7 @@ from fden_ros.core.law import GeometryConfig
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
+from fden_ros.parameters.message_kinds import FORCES, PLACES
 from fden_ros.parameters.parameter import Parameter, Value, Vector
 
 _Settings = TypeVar("_Settings")
@@ -40,7 +41,7 @@ class ForceInput:
         "force.message",
         "wrench",
         "Type of the live force topic; a bag says its own.",
-        choices=("wrench", "joint_state"),
+        choices=tuple(FORCES),
     )
     inverted: bool = parameter(
         "force.inverted", False, "true where a joint's effort falls as the probe presses."
@@ -68,7 +69,7 @@ class DisplacementInput:
         "joint_state",
         "Type of the live displacement topic; a bag says its own. tf: the motion of frames.probe "
         "in frames.base.",
-        choices=("joint_state", "pose", "transform", "point", "tf"),
+        choices=(*PLACES, "tf"),
     )
     name: str = parameter(
         "displacement.name", "", "Joint whose position is the displacement; empty: the first."
@@ -89,7 +90,7 @@ class SurfaceInput:
         "none",
         "Type of the topic surface, whose place is subtracted from the displacement; a bag has "
         "its own. none: it is not measured.",
-        choices=("none", "joint_state", "pose", "transform", "point"),
+        choices=("none", *PLACES),
     )
     axis: Vector = parameter(
         "surface.axis",

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fden_ros.core.streams import NANOSECONDS
+from fden_ros.parameters import FORCES, PLACES, MessageKind
 from fden_ros.ros.inputs import DAMAGED, TRANSFORM_TOPICS, Inputs, Places, stream_of
 
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -90,16 +91,13 @@ def fast_handler(stream: str, kind: str, inputs: Inputs) -> Handler | None:
         return None
     if kind == "sensor_msgs/msg/JointState":
         return _joint_handler(stream, inputs)
-    if stream == "force":
-        return _wrench_handler(inputs) if kind.endswith("/WrenchStamped") else None
-    # Bytes from the position on, of which three numbers are read: shorter is damaged.
-    sizes = {"PoseStamped": 56, "TransformStamped": 56, "PointStamped": 24}
-    name = kind.rpartition("/")[2]
-    if name not in sizes:
+    kinds = FORCES if stream == "force" else PLACES
+    own = next((one for one in kinds.values() if one.type_name == kind), None)
+    if own is None or not own.size:
         return None
-    return _position_handler(
-        inputs.places[stream], sizes[name], has_child=name == "TransformStamped"
-    )
+    if stream == "force":
+        return _force_handler(inputs, own)
+    return _place_handler(inputs.places[stream], own)
 
 
 def _head(data: bytes) -> tuple[str, int, int]:
@@ -155,10 +153,10 @@ class _Layout:
         return int(seconds * NANOSECONDS + nanoseconds)
 
 
-def _wrench_handler(inputs: Inputs) -> Handler:
+def _force_handler(inputs: Inputs, kind: MessageKind) -> Handler:
     along, take, unpack = inputs.along_force, inputs.take_force, _VECTOR.unpack_from
     turns, take_vector = inputs.turns_force, inputs.take_force_vector
-    offset = _VECTOR.size if inputs.takes_torque else 0
+    offset = _VECTOR.size if inputs.takes_torque and kind.torque else 0
 
     def read(data: bytes, frame: str, stamp: int, start: int) -> None:
         vector = unpack(data, start + offset)
@@ -167,24 +165,23 @@ def _wrench_handler(inputs: Inputs) -> Handler:
         else:
             take(frame, stamp, along(*vector))
 
-    return _handler(read, 2 * _VECTOR.size)
+    return _handler(read, kind)
 
 
-def _position_handler(places: Places, size: int, has_child: bool) -> Handler:
+def _place_handler(places: Places, kind: MessageKind) -> Handler:
     take, unpack = places.take_position, _VECTOR.unpack_from
-    has_turn = places.takes_orientation and size > _VECTOR.size
+    has_turn = places.takes_orientation and bool(kind.orientation)
 
     def read(data: bytes, frame: str, stamp: int, start: int) -> None:
         turn = _QUATERNION.unpack_from(data, start + _VECTOR.size) if has_turn else None
         take(frame, stamp, unpack(data, start), turn)
 
-    return _handler(read, size, has_child=has_child)
+    return _handler(read, kind)
 
 
-def _handler(
-    read: Callable[[bytes, str, int, int], None], size: int, *, has_child: bool = False
-) -> Handler:
-    """Return what finds `size` bytes of numbers behind a header, and perhaps a child's name."""
+def _handler(read: Callable[[bytes, str, int, int], None], kind: MessageKind) -> Handler:
+    """Return what finds the numbers of a message; with fewer bytes it is damaged."""
+    size, has_child = kind.size * _DOUBLE.size, kind.has_child
     layout: _Layout | None = None
 
     def handle(data: bytes) -> None:

@@ -22,8 +22,12 @@ from fden_ros.core.streams import (
     normalised,
 )
 from fden_ros.parameters import (
+    FORCES,
+    PLACES,
+    MessageKind,
     Parameters,
     frames_config,
+    kind_of,
     surface_axis,
     takes_surface,
     tool_weight,
@@ -32,17 +36,11 @@ from fden_ros.parameters import (
 
 #: Of ``/tf``.
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-_JOINTS = "sensor_msgs/msg/JointState"
-_PLACES = {
-    "joint_state": _JOINTS,
-    "pose": "geometry_msgs/msg/PoseStamped",
-    "transform": "geometry_msgs/msg/TransformStamped",
-    "point": "geometry_msgs/msg/PointStamped",
-}
+_PLACES = {value: kind.type_name for value, kind in PLACES.items()}
 
 #: By the name of an input, the type that each value of its parameter ``message`` stands for.
 TYPE_NAMES: Mapping[str, Mapping[str, str]] = {
-    "force": {"wrench": "geometry_msgs/msg/WrenchStamped", "joint_state": _JOINTS},
+    "force": {value: kind.type_name for value, kind in FORCES.items()},
     "displacement": _PLACES,
     "surface": _PLACES,
     "/tf": {"transforms": TRANSFORMS},
@@ -121,14 +119,13 @@ class Places:
         """Take a message."""
         header = message.header
         stamp = stamp_ns(header.stamp)
-        if hasattr(message, "effort"):
-            joint = _joint_value(message.name, message.position, self.joint)
+        kind = kind_of(message, PLACES)
+        if kind.is_of_joints:
+            joint = _joint_value(kind, message, self.joint)
             self.take_joint(header.frame_id, stamp, joint)
             return
-        position, orientation = _place(message)
-        self.take_position(
-            header.frame_id, stamp, position, orientation if self.takes_orientation else None
-        )
+        orientation = kind.turn(message) if self.takes_orientation else None
+        self.add_value(header.frame_id, stamp, kind.value(message), orientation)
 
     def add_value(
         self,
@@ -269,13 +266,13 @@ class Inputs:
             return
         header = message.header
         stamp = stamp_ns(header.stamp)
-        if hasattr(message, "wrench"):
-            wrench = message.wrench
-            vector = wrench.torque if self.takes_torque else wrench.force
-            self.take_force_vector(header.frame_id, stamp, (vector.x, vector.y, vector.z))
+        kind = kind_of(message, FORCES)
+        if kind.is_of_joints:
+            effort = _joint_value(kind, message, self.force_joint)
+            self.take_force(header.frame_id, stamp, self.signed_effort(effort))
             return
-        effort = _joint_value(message.name, message.effort, self.force_joint)
-        self.take_force(header.frame_id, stamp, self.signed_effort(effort))
+        force = kind.value(message, is_torque=self.takes_torque)
+        self.add_force_value(header.frame_id, stamp, force)
 
     def add_force_value(self, frame_id: str, stamp: int, value: NumberOrVector | None) -> None:
         """Take a force [N] that is a number or a vector; None where there is none."""
@@ -311,13 +308,13 @@ class Inputs:
 
     def _add_transforms(self, message: Any, *, is_static: bool) -> None:
         for one in message.transforms:
-            position, orientation = _place(one)
+            place, turn = one.transform.translation, one.transform.rotation
             self._sink.add_transform(
                 stamp_ns(one.header.stamp),
                 one.header.frame_id.lstrip("/"),
                 one.child_frame_id.lstrip("/"),
-                position,
-                orientation or (0.0, 0.0, 0.0, 0.0),
+                (place.x, place.y, place.z),
+                (turn.x, turn.y, turn.z, turn.w),
                 is_static=is_static,
             )
 
@@ -354,21 +351,10 @@ class Inputs:
             self._sink.add_displacement(stamp, displacement, position, load)
 
 
-def _joint_value(names: list[str], values: Any, joint: str) -> float | None:
-    index = 0
+def _joint_value(kind: MessageKind, message: Any, joint: str) -> float | None:
+    index, values = 0, getattr(message, kind.field)
     if joint:
-        if joint not in names:
+        if joint not in message.name:
             return None
-        index = names.index(joint)
+        index = message.name.index(joint)
     return float(values[index]) if index < len(values) else None
-
-
-def _place(message: Any) -> tuple[Position, Quaternion | None]:
-    """Return the position of a message, and the orientation where its type has one."""
-    if hasattr(message, "point"):
-        return (message.point.x, message.point.y, message.point.z), None
-    if hasattr(message, "pose"):
-        place, turn = message.pose.position, message.pose.orientation
-    else:
-        place, turn = message.transform.translation, message.transform.rotation
-    return (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w)
