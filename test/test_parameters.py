@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PointStamped, WrenchStamped
+from geometry_msgs.msg import PointStamped, Vector3, Vector3Stamped, WrenchStamped
 from pipeline_helpers import LIVER_PARAMETERS, refusal
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import FluidPressure, JointState
 
 from benchmark.trial import through
 from fden_ros.core import (
@@ -29,7 +29,9 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.parameters import (
+    FORCES,
     PARAMETERS,
+    MessageKind,
     Parameters,
     check,
     pipeline_config,
@@ -236,6 +238,29 @@ def test_parameter_says_what_of_a_message_counts(name):
         inputs = Inputs(check({"surface.message": "point"} | parameters), samples)
         inputs.add(stream, message)
         assert samples.heard == [(stream, number)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "expected"),
+    [
+        (
+            MessageKind("geometry_msgs/msg/Vector3Stamped", "vector"),
+            Vector3Stamped(vector=Vector3(x=1.0, z=3.0)),
+            3.0,
+        ),
+        (
+            MessageKind("sensor_msgs/msg/FluidPressure", "fluid_pressure"),
+            FluidPressure(fluid_pressure=2.0),
+            -2.0,
+        ),
+    ],
+    ids=["vector", "number"],
+)
+def test_a_new_type_of_message_is_one_row(kind, message, expected, monkeypatch):
+    monkeypatch.setitem(FORCES, "new", kind)
+    samples = Samples()
+    Inputs(check({"force.inverted": True}), samples).add("force", message)
+    assert samples.heard == [("force", expected)]
 
 
 #: Shown with the running node, in test_parameter_files.py and test_node_start.py.
