@@ -44,7 +44,7 @@ class LinearRange:
 
     def __init__(self, model: PressModel, points: Points, about: Array, age: float) -> None:
         self._geometry, self._about = model.geometry, about
-        self._compressions, self._by_state = model.ends(points, about)
+        self._compressions, self._by_state = model.motion.ends(points, about)
         self._log_age = math.log(max(age, BLOCK_TIME))
 
     def lacking(self, block: int, state: Array) -> float:

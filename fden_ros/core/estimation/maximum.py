@@ -157,7 +157,7 @@ class MaximumSearch:
             free = self._equations(state, found, metric)
             normal, is_at_bound = free.normal, free.is_at_bound
             if is_at_kink:
-                touch = model.touch_gradient(self._points, state)
+                touch = model.surface.touch_gradient(self._points, state)
                 stiffest = free.damped.max(where=touch != 0.0, initial=0.0)
                 normal = normal + _HELD * stiffest * np.outer(touch, touch)
             behind = state - at
@@ -225,7 +225,7 @@ class MaximumSearch:
 
     def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Parts[Array]:
         """Return the best state as the touch moves, all else with it; or the state itself."""
-        touch = self._density.model.touch_gradient(self._points, state)
+        touch = self._density.model.surface.touch_gradient(self._points, state)
         along = loops.solve(normal, touch)
         size = float(touch @ along)
         if not size > 0.0:

@@ -27,7 +27,6 @@ from fden_ros.core.estimation.hypothesis import MISMATCH, Hypothesis, Past
 from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.mixture import moments
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
-from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import Carried, PressSetting
 from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
@@ -35,6 +34,7 @@ from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved
+from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.law import Geometry
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
@@ -352,7 +352,7 @@ def _carried(
         free = likeliest.setting.free
         if free is not None:
             # What earlier presses have left counts in the stress of the tissue as it is now.
-            softer = likeliest.solved.model.softening(mean) - 1.0
+            softer = likeliest.solved.model.surface.softening(mean) - 1.0
             past.memory.values += softer * free.at(np.array([time]))[0]
         carried = Carried(likeliest.solved.model, mean, covariance)
         past.setting = replace(past.setting, carried=carried)

@@ -128,8 +128,8 @@ def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, 
     """
     if one.solved is None or one.setting.carried is None:
         return None
-    by_state = one.solved.model.by_softening
-    ratio = one.solved.model.softening(mean)
+    by_state = one.solved.model.surface.by_softening
+    ratio = one.solved.model.surface.softening(mean)
     return ratio, ratio * math.sqrt(max(float(by_state @ covariance @ by_state), 0.0))
 
 
