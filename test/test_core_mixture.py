@@ -135,7 +135,7 @@ def test_so_it_has_while_two_places_are_alive() -> None:
 def test_the_order_of_hypotheses_does_not_matter() -> None:
     def found(turn: int) -> Estimate:
         estimator, tissue = of_two_places()
-        estimator._pasts = estimator._pasts[::turn]
+        estimator._pasts.all = estimator._pasts.all[::turn]
         *_, last = press(estimator, tissue, motion())
         return last
 
@@ -169,7 +169,7 @@ def test_a_hypothesis_is_dropped_when_its_solution_is_lost_twice_in_a_row(
     estimator, tissue = of_two_places()
     real = Search.in_parts
     lost: list[Search] = []
-    of_new = estimator._pasts[-1].setting
+    of_new = estimator._pasts.all[-1].setting
 
     def failing(self: Search) -> Any:
         is_new = self.setting.carried is None and self.setting.origin_sd == of_new.origin_sd
