@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+from fden_ros.core.estimation.block import Block
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.maxima import Solutions
@@ -30,7 +31,6 @@ from fden_ros.core.estimation.proposals.change import (
     Look,
     Placing,
 )
-from fden_ros.core.estimation.record import Block
 from fden_ros.core.estimation.unknowns import Unknown
 
 #: A look has this much more work than a solution, since it has to tell within 0.1 s [1].

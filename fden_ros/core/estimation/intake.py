@@ -15,8 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Block, Record, Sample
+from fden_ros.core.estimation.record import Record
 
 #: The touch may be this many standard deviations of the origin before its nominal place [1].
 _REACH = 6.0

@@ -14,6 +14,7 @@ import math
 from dataclasses import replace
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
@@ -25,7 +26,6 @@ from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.place import Tissue
-from fden_ros.core.estimation.record import Sample
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
@@ -24,7 +25,7 @@ from fden_ros.core.estimation.mixture import weights_of
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
-from fden_ros.core.estimation.record import Block, Record, Sample
+from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
 from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.whiteness import NO_CHANCE
