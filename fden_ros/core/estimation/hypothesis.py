@@ -15,7 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
@@ -229,6 +229,15 @@ class Hypothesis:
         best, now = self.solved.best, self.filter
         delay = self.setting.delay
         return delay(best.mean, best.covariance), delay(now.mean, now.covariance)
+
+    @property
+    def lateness(self) -> float:
+        """How late the displacement may be [s], by the newest solution."""
+        most = self.setting.delay_reach if self.setting.is_late else 0.0
+        if not most or self.solved is None:
+            return most
+        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        return min(max(delay + MOST_LATE * sd, 0.0), most)
 
     @property
     def filter(self) -> PressFilter | None:

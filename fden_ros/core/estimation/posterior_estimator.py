@@ -148,7 +148,7 @@ class PosteriorEstimator(Estimator):
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
         found = self._best.changes
-        return found + (self.press.change_count if self.press is not None else 0)
+        return found + (self.press.best.change_count if self.press is not None else 0)
 
     @property
     def rig_misfit(self) -> float:
@@ -199,7 +199,7 @@ class PosteriorEstimator(Estimator):
         """Let the samples since the last block go by."""
         self._pasts.remember(self._time, 0.0)
         if self.press is not None:
-            self.press.skip()
+            self.press.intake.skip()
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the prediction."""
@@ -216,7 +216,7 @@ class PosteriorEstimator(Estimator):
         press = self.press
         if press is None or press.solved is None or press.best.misses:
             return None
-        return budget_of(press.setting, press.solved, press.compression_sd)
+        return budget_of(press.setting, press.solved, press.intake.compression_sd)
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""
@@ -249,9 +249,9 @@ class PosteriorEstimator(Estimator):
         press, self.press = self.press, None
         if press is None:
             return
-        self._compression_sd = press.compression_sd
+        self._compression_sd = press.intake.compression_sd
         weighed = press.weighed or [(1.0, one) for one in press.hypotheses]
-        self._pasts.carry(weighed, press.deepest)
+        self._pasts.carry(weighed, press.intake.deepest)
 
     # Result
 

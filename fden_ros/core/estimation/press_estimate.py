@@ -187,7 +187,7 @@ def _beyond(press: PressPosterior, one: Hypothesis, component: Component) -> flo
     """Return P(largest strain > 1/Gn) of a component of (ln G, ln Gn, alpha, origin) [1]."""
     geometry = one.setting.geometry
     mean, deviations = component.mean, np.sqrt(np.maximum(component.covariance.diagonal(), 0.0))
-    deepest = one.deepest(press.deepest) - one.past.shift
+    deepest = one.deepest(press.intake.deepest) - one.past.shift
     compression = max(deepest - float(mean[_ORIGIN]), 0.0)
     strain = geometry.strain(compression)
     strain_sd = geometry.strain_slope(compression) * float(deviations[_ORIGIN])

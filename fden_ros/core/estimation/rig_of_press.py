@@ -48,7 +48,7 @@ def motion_evidence(press: PressPosterior) -> list[float] | None:
         now = one.setting.config.uncertainty.surface_motion_sd
         exact = min(weighed.scales for weighed in solved.posterior.grid)
         grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
-        points, maximum = one.points(press.record.points()), solved.best.maximum
+        points, maximum = one.points(press.intake.record.points()), solved.best.maximum
         own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
         found.append(math.log(weight) + np.array(own) - max(own))
     result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()
