@@ -27,8 +27,6 @@ from fden_ros.core.law import StressMoments, elastic_response
 LEAST_WEIGHT = 0.01
 #: Probability of a relaxation that ends beyond which it is said [1].
 MISMATCH = 0.95
-#: Least factor by which the stiffness changes [1].
-_LEAST_FACTOR = 0.05
 
 
 @dataclass
@@ -289,7 +287,8 @@ class Hypothesis:
 def _after_changes(one: Component, places: list[int]) -> Component:
     if not places:
         return one
-    factor = max(1.0 + float(one.mean[places].sum()), _LEAST_FACTOR)
+    # A change leaves a twentieth at least.
+    factor = max(1.0 + float(one.mean[places].sum()), 0.05)
     jacobian = np.eye(one.mean.size)
     jacobian[LOG_G, places] = 1.0 / factor
     after = one.mean.copy()

@@ -26,10 +26,6 @@ from fden_ros.core.estimation.tissue_surface import FreeSurface
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
 #: standard deviations off.
 _UNKNOWN_ZERO = 0.01
-#: The speed at the touch is that of so long before it [s].
-_TOUCH_TIME = 0.1
-#: Pasts of earlier touches that a touch may go on from [1].
-_MOST_PASTS = 2
 
 
 class Pasts:
@@ -71,7 +67,7 @@ class Pasts:
         self._time = time
 
     def may_be_of(self, other: Pasts, shift: float, last: Tissue, log_wider: float) -> None:
-        """Take the pasts of another site beside the own, which is not touched yet.
+        """Take the two likeliest pasts of another site beside the own, which is not touched yet.
 
         Parameters
         ----------
@@ -87,7 +83,7 @@ class Pasts:
         (own,) = self.all
         setting = own.setting
         own.other = log_odds_of_another(setting.config, last, log_wider)
-        same = other.all[:_MOST_PASTS]
+        same = other.all[:2]
         total = float(logsumexp([past.log_odds for past in same]))
         for past in same:
             past.setting = replace(
@@ -171,11 +167,11 @@ def _carry_over(
 
 
 def _touch_speed(way: Array | None) -> float:
-    """Return the speed of the compression before a touch [1/s]; 0: it was not seen to come."""
+    """Return the speed in the last 0.1 s before a touch [1/s]; 0: it was not seen to come."""
     if way is None or way.shape[1] < 2:
         return 0.0
     times, compressions, _ = way
-    near = times >= times[-1] - _TOUCH_TIME
+    near = times >= times[-1] - 0.1
     if np.ptp(times[near]) <= 0.0:
         return 0.0
     return float(np.polyfit(times[near] - times[-1], compressions[near], 1)[0])

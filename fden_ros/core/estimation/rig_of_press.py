@@ -18,9 +18,6 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 
-#: Part of the variance of what is stated of a rig that a press tells at least [1].
-_LEAST_TOLD = 0.01
-
 
 def misfit(solved: Solved) -> float:
     """Return how far a press says the rig is from what is stated, in standard deviations [1]."""
@@ -28,7 +25,8 @@ def misfit(solved: Solved) -> float:
     before = belief.variances()
     for k, unknown in enumerate(solved.model.unknowns):
         if unknown.lifetime is Lifetime.RIG:
-            told = max(before[k] - best.covariance[k, k], _LEAST_TOLD * before[k])
+            # It tells at least this part of the variance.
+            told = max(before[k] - best.covariance[k, k], 0.01 * before[k])
             off = max(off, abs(best.mean[k] - belief.mean[k]) / math.sqrt(told))
     return off
 
