@@ -437,10 +437,10 @@ def test_the_noise_of_the_motion_is_that_of_all_steps_and_not_of_the_last() -> N
     list(press(estimator, tissue_of(), motion(0.1, 0.1)))
     own = estimator.press
     assert own is not None
-    before = own.compression_sd
+    before = own.intake.compression_sd
     assert before == pytest.approx(math.sqrt(1e-9 * RATE), rel=0.02)
     estimator.take(0.1 / RATE, 0.1, 100.0, is_free=False)
-    assert own.compression_sd == pytest.approx(before, rel=0.02)
+    assert own.intake.compression_sd == pytest.approx(before, rel=0.02)
 
 
 def test_the_rig_is_taught_by_all_hypotheses_that_are_alive() -> None:
