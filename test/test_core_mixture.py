@@ -135,7 +135,7 @@ def test_so_it_has_while_two_places_are_alive() -> None:
 def test_the_order_of_hypotheses_does_not_matter() -> None:
     def found(turn: int) -> Estimate:
         estimator, tissue = of_two_places()
-        estimator._pasts = estimator._pasts[::turn]
+        estimator._pasts.all = estimator._pasts.all[::turn]
         *_, last = press(estimator, tissue, motion())
         return last
 
@@ -169,7 +169,7 @@ def test_a_hypothesis_is_dropped_when_its_solution_is_lost_twice_in_a_row(
     estimator, tissue = of_two_places()
     real = Search.in_parts
     lost: list[Search] = []
-    of_new = estimator._pasts[-1].setting
+    of_new = estimator._pasts.all[-1].setting
 
     def failing(self: Search) -> Any:
         is_new = self.setting.carried is None and self.setting.origin_sd == of_new.origin_sd
@@ -442,10 +442,10 @@ def test_the_noise_of_the_motion_is_that_of_all_steps_and_not_of_the_last() -> N
     list(press(estimator, tissue_of(), motion(0.1, 0.1)))
     own = estimator.press
     assert own is not None
-    before = own.compression_sd
+    before = own.intake.compression_sd
     assert before == pytest.approx(math.sqrt(1e-9 * RATE), rel=0.02)
     estimator.take(0.1 / RATE, 0.1, 100.0, is_free=False)
-    assert own.compression_sd == pytest.approx(before, rel=0.02)
+    assert own.intake.compression_sd == pytest.approx(before, rel=0.02)
 
 
 def test_the_rig_is_taught_by_all_hypotheses_that_are_alive() -> None:

@@ -25,6 +25,7 @@ from fden_ros.core.estimation import (
     Uncertainty,
     ended,
 )
+from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
@@ -33,7 +34,7 @@ from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
-from fden_ros.core.estimation.record import MOST_BLOCKS, Record, Sample
+from fden_ros.core.estimation.record import MOST_BLOCKS, Record
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of

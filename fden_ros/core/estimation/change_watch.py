@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+from fden_ros.core.estimation.block import Block
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.maxima import Solutions
@@ -30,13 +31,10 @@ from fden_ros.core.estimation.proposals.change import (
     Look,
     Placing,
 )
-from fden_ros.core.estimation.record import Block
 from fden_ros.core.estimation.unknowns import Unknown
 
 #: A look has this much more work than a solution, since it has to tell within 0.1 s [1].
 _HASTE = 20.0
-#: A change is placed anew once it was seen for this time [s].
-_PLACED_AFTER = 0.1
 
 
 class Found(NamedTuple):
@@ -129,7 +127,8 @@ class ChangeWatch:
         if change is None:
             return False
         assert change.since is not None
-        return now - change.since >= _PLACED_AFTER
+        # It has been seen for this time [s].
+        return now - change.since >= 0.1
 
     def begin_placing(self, best: Hypothesis, intake: Intake) -> None:
         """Begin to place the newest change anew, where the likeliest hypothesis has it."""

@@ -22,9 +22,6 @@ from fden_ros.core.estimation.solution import cost_of, evidence_under
 #: A solution with its log evidence; None: it was not found.
 Weighed = tuple[Solved, float] | None
 
-#: Solutions in a row that are not found before a hypothesis is dropped [1].
-_MOST_MISSES = 2
-
 
 @dataclass(frozen=True)
 class Epoch:
@@ -104,9 +101,9 @@ def keep_shares(
 
 
 def kept(solved: Sequence[Hypothesis], missed: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the hypotheses that are not ruled out: by their evidence, or lost again and again."""
+    """Return the hypotheses that are not ruled out: by their evidence, or lost twice in a row."""
     most = max(one.log_weight for one in solved)
     return [
         *(one for one in solved if one.log_weight >= most - NEGLIGIBLE),
-        *(one for one in missed if one.misses < _MOST_MISSES),
+        *(one for one in missed if one.misses < 2),
     ]

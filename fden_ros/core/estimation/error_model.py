@@ -107,7 +107,7 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        points, order = self._model.moved(points, state), self._model.order(state)
+        points, order = self._model.motion.moved(points, state), self._model.order(state)
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
         # An age of less than a block counts as none.
         numbers = np.array(
@@ -123,7 +123,7 @@ class ErrorModel:
         loops.errors(
             found.elastic, found.slope, found.stress, points.first, points.last, points.met,
             points.counts, points.durations, points.middles, points.steps, points.bends,
-            *self._model.changes(state), numbers, loading, rows,
+            *self._model.surface.changes(state), numbers, loading, rows,
         )  # fmt: skip
         return Errors(rows, Loading(*loading.tolist()))
 

@@ -15,7 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
@@ -27,8 +27,6 @@ from fden_ros.core.law import StressMoments, elastic_response
 LEAST_WEIGHT = 0.01
 #: Probability of a relaxation that ends beyond which it is said [1].
 MISMATCH = 0.95
-#: Least factor by which the stiffness changes [1].
-_LEAST_FACTOR = 0.05
 
 
 @dataclass
@@ -231,6 +229,15 @@ class Hypothesis:
         return delay(best.mean, best.covariance), delay(now.mean, now.covariance)
 
     @property
+    def lateness(self) -> float:
+        """How late the displacement may be [s], by the newest solution."""
+        most = self.setting.delay_reach if self.setting.is_late else 0.0
+        if not most or self.solved is None:
+            return most
+        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
+        return min(max(delay + MOST_LATE * sd, 0.0), most)
+
+    @property
     def filter(self) -> PressFilter | None:
         """The likeliest filter; None: there is no solution yet."""
         return self._filters[int(np.argmax(self._logs))] if self._filters else None
@@ -280,7 +287,8 @@ class Hypothesis:
 def _after_changes(one: Component, places: list[int]) -> Component:
     if not places:
         return one
-    factor = max(1.0 + float(one.mean[places].sum()), _LEAST_FACTOR)
+    # A change leaves a twentieth at least.
+    factor = max(1.0 + float(one.mean[places].sum()), 0.05)
     jacobian = np.eye(one.mean.size)
     jacobian[LOG_G, places] = 1.0 / factor
     after = one.mean.copy()

@@ -15,11 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Block, Record, Sample
-
-#: The touch may be this many standard deviations of the origin before its nominal place [1].
-_REACH = 6.0
+from fden_ros.core.estimation.record import Record
 
 
 class Intake:
@@ -57,7 +55,8 @@ class Intake:
         way: Array | None = None,
     ) -> None:
         is_one_sided = settings[0].geometry.is_one_sided
-        reach = _REACH * max(one.origin_sd for one in settings) if is_one_sided else 0.0
+        # As many of the origin's standard deviations before its nominal place the touch may be.
+        reach = 6.0 * max(one.origin_sd for one in settings) if is_one_sided else 0.0
         is_at_rest = is_one_sided and any(one.carried is None for one in settings)
         late = settings[0].delay_reach
         self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)

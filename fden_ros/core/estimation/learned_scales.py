@@ -30,11 +30,6 @@ SMOOTH = 3.0
 #: Least share of the stated motion that is believed [1]: below it creep of 20 mN in 2 s, which no
 #: contact shows, would be the larger error.
 LEAST_SHARE = 0.25
-#: A scale is likely within this much of the largest logarithm of the evidence [1].
-_LIKELY = 2.0
-#: What speaks against a scale counts at most as much as this [1], so that one or two contacts
-#: under which the surface moves outweigh any number before.
-_MOST = 12.0
 
 Evidence = tuple[float, ...]
 #: Before any contact nothing is known of the motion, and more drift than is stated takes evidence.
@@ -46,7 +41,9 @@ def pooled(before: Evidence, contact: Sequence[float]) -> Evidence:
     """Return the logarithms of the evidence of all contacts, relative to the largest."""
     total = [a + b for a, b in zip(before, contact, strict=True)]
     highest = max(total)
-    return tuple(max(value - highest, -_MOST) for value in total)
+    # No more than this speaks against a scale, so that one or two contacts under which the surface
+    # moves outweigh any number before.
+    return tuple(max(value - highest, -12.0) for value in total)
 
 
 def motion_share(evidence: Sequence[float]) -> float:
@@ -76,6 +73,6 @@ def drift_evidence(change: float, noise_variance: float, stated_variance: float)
 
 
 def _largest_likely(scales: Sequence[float], evidence: Sequence[float]) -> float:
-    """Return the first of the scales, which fall, that is likely by the evidence [1]."""
-    least = max(evidence) - _LIKELY
+    """Return the first of the scales, which fall, whose log evidence is near the largest."""
+    least = max(evidence) - 2.0
     return next(s for s, value in zip(scales, evidence, strict=True) if value >= least)

@@ -26,9 +26,6 @@ from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import log_phi
 
-#: A change of the logarithm counts up to this [1]: a factor of e^20 is far enough.
-_MOST = 20.0
-
 
 class LinearRange:
     """What a model that is linear about a state lacks at other states, for some blocks.
@@ -44,7 +41,7 @@ class LinearRange:
 
     def __init__(self, model: PressModel, points: Points, about: Array, age: float) -> None:
         self._geometry, self._about = model.geometry, about
-        self._compressions, self._by_state = model.ends(points, about)
+        self._compressions, self._by_state = model.motion.ends(points, about)
         self._log_age = math.log(max(age, BLOCK_TIME))
 
     def lacking(self, block: int, state: Array) -> float:
@@ -59,7 +56,8 @@ class LinearRange:
         relaxed = -self._log_age * float(off[ORDER])
         linear = off[LOG_G] + excess * off[LOG_GN] + by_compression * moved + relaxed
         change = _log_phi(second, state) - _log_phi(first, self._about) + relaxed
-        return math.expm1(min(change, _MOST)) - float(linear)
+        # A factor of e^20 is far enough.
+        return math.expm1(min(change, 20.0)) - float(linear)
 
 
 def _log_phi(strain: float, state: Array) -> float:

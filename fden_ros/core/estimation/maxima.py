@@ -28,8 +28,6 @@ from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 
-#: Maxima that are followed [1], so that a solution has a longest time: no recording had a fourth.
-_MOST = 3
 #: Maxima closer than this many standard deviations are one [1].
 _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
@@ -227,7 +225,8 @@ def _weighed(
     for k in np.argsort(-evidence):
         is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
         is_negligible = evidence[k] < evidence.max() - NEGLIGIBLE
-        if is_negligible or len(kept) == _MOST or (is_linear and has_linear):
+        # So that a solution has a longest time: no recording had a fourth maximum.
+        if is_negligible or len(kept) == 3 or (is_linear and has_linear):
             continue
         if all(_are_apart(found[k], s) for _, s in kept):
             kept.append((float(evidence[k]), found[k]))

@@ -55,10 +55,6 @@ EVALUATION_COST = 150
 LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 #: Damping at first [1], and by which factors it falls and rises.
 _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
-#: A step leads too far where the misfit is lowest before this part of it [1].
-_TOO_FAR = 0.6
-#: Damping from which on a step is held up by a kink [1].
-_KINK_DAMPING = 0.1
 
 
 @dataclass(frozen=True)
@@ -157,7 +153,7 @@ class MaximumSearch:
             free = self._equations(state, found, metric)
             normal, is_at_bound = free.normal, free.is_at_bound
             if is_at_kink:
-                touch = model.touch_gradient(self._points, state)
+                touch = model.surface.touch_gradient(self._points, state)
                 stiffest = free.damped.max(where=touch != 0.0, initial=0.0)
                 normal = normal + _HELD * stiffest * np.outer(touch, touch)
             behind = state - at
@@ -189,7 +185,8 @@ class MaximumSearch:
             state, found = taken
             if tries == 1:
                 damping *= _EASED
-            elif damping > _KINK_DAMPING and not is_at_kink:
+            # So much damping, where it is held up by a kink.
+            elif damping > 0.1 and not is_at_kink:
                 is_at_kink, damping = True, _DAMPING
         # Steps from kink to kink are short, and many.
         is_solved |= is_at_kink and left < NEARLY_FOUND
@@ -225,7 +222,7 @@ class MaximumSearch:
 
     def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Parts[Array]:
         """Return the best state as the touch moves, all else with it; or the state itself."""
-        touch = self._density.model.touch_gradient(self._points, state)
+        touch = self._density.model.surface.touch_gradient(self._points, state)
         along = loops.solve(normal, touch)
         size = float(touch @ along)
         if not size > 0.0:
@@ -277,7 +274,8 @@ class MaximumSearch:
         step = tried.state - state
         gain = float(equations.towards @ step)
         curved = tried.misfit - equations.misfit + 2.0 * gain
-        if not (self._shortens and 0.0 < gain < _TOO_FAR * curved):
+        # It leads too far where the misfit is lowest before this part of it.
+        if not (self._shortens and 0.0 < gain < 0.6 * curved):
             return tried
         shorter = self._try(state, gain / curved * step, metric)
         # At a kink no parabola holds, and a second try at one would be in vain.

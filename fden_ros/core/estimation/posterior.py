@@ -43,8 +43,6 @@ UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 _FEW_STEPS = 12
 #: A moderate error [1].
 _MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
-#: Maxima whose ln G, ln Gn and alpha are all closer than this are one [1].
-_SAME = 0.03
 
 
 class Posterior(Density):
@@ -285,5 +283,5 @@ class Posterior(Density):
 
 
 def _are_one(maximum: Maximum, other: Maximum) -> bool:
-    """Whether two maxima are at the same ln G, ln Gn and alpha."""
-    return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= _SAME)
+    """Whether two maxima are one: ln G, ln Gn and alpha are all within 0.03."""
+    return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= 0.03)

@@ -10,43 +10,30 @@ several pasts, and a hypothesis for each.
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from scipy.special import logsumexp
-
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.estimate import Budget, Estimate
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.hypothesis import MISMATCH, Hypothesis, Past
+from fden_ros.core.estimation.hypothesis import MISMATCH, Past
 from fden_ros.core.estimation.intake import Intake
-from fden_ros.core.estimation.mixture import moments
+from fden_ros.core.estimation.pasts import Pasts
 from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
-from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_posterior import PressPosterior
-from fden_ros.core.estimation.press_setting import Carried, PressSetting
-from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
-from fden_ros.core.estimation.record import Sample
+from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.proposals.place import Tissue
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.law import Geometry
 
-#: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
-#: standard deviations off.
-_UNKNOWN_ZERO = 0.01
-#: The speed at the touch is that of so long before it [s].
-_TOUCH_TIME = 0.1
 #: Work of a time in the air over that of a time in contact [1]: no filter takes samples there, and
 #: the last solution is found within 0.8 s.
 _IN_AIR = 3.0
-#: Pasts of earlier touches that a touch may go on from [1].
-_MOST_PASTS = 2
 
 
 class PosteriorEstimator(Estimator):
@@ -91,11 +78,10 @@ class PosteriorEstimator(Estimator):
             drift_sd=0.0,
             rig=known,
         )
-        self._pasts = [Past(setting)]
+        self._pasts = Pasts(setting)
         self._path_variance = path_variance
         self._time = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
-        self._moments_at = self._stress_before = 0.0
 
     def may_be_of(self, other: PosteriorEstimator, shift: float, log_wider: float) -> None:
         """Take the tissue of another estimator for what may be touched next.
@@ -110,28 +96,12 @@ class PosteriorEstimator(Estimator):
             Logarithm of how much wider the origin's prior is than where the touch showed the
             surface: that noise may hide it there makes this no less likely.
         """
-        (own,) = self._pasts
         before = other.estimate()
         last = Tissue(before.mean, before.covariance)
         other._carry()
-        other._wait()
-        config = own.setting.config
-        own.other = log_odds_of_another(config, last, log_wider)
-        same = other._pasts[:_MOST_PASTS]
-        total = float(logsumexp([past.log_odds for past in same]))
-        for past in same:
-            past.setting = replace(
-                past.setting,
-                config=config,
-                rig=own.setting.rig,
-                stress_sd=own.setting.stress_sd,
-            )
-            past.shift += shift
-            past.log_odds -= total
-            past.changes = 0
-            past.other = None
+        other._pasts.wait(other._time)
+        self._pasts.may_be_of(other._pasts, shift, last, log_wider)
         self._compression_sd = other._compression_sd
-        self._pasts = [*same, own]
 
     # What others ask
 
@@ -160,8 +130,7 @@ class PosteriorEstimator(Estimator):
         """Return the pasts with their probabilities by now."""
         if self.press is not None and self.press.weighed:
             return [(weight, one.past) for weight, one in self.press.weighed]
-        total = float(logsumexp([past.log_odds for past in self._pasts]))
-        return [(math.exp(past.log_odds - total), past) for past in self._pasts]
+        return self._pasts.weighed
 
     @property
     def _best(self) -> Past:
@@ -179,7 +148,7 @@ class PosteriorEstimator(Estimator):
     def change_count(self) -> int:
         """Changes of the tissue under the probe that were found."""
         found = self._best.changes
-        return found + (self.press.change_count if self.press is not None else 0)
+        return found + (self.press.best.change_count if self.press is not None else 0)
 
     @property
     def rig_misfit(self) -> float:
@@ -203,21 +172,8 @@ class PosteriorEstimator(Estimator):
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         self._carry()
-        self._wait()
-        hypotheses = []
-        for past in self._pasts:
-            own = past.setting
-            if own.is_late and own.carried is None and own.origin_sd:
-                past.setting = own = replace(own, touch_speed=_touch_speed(way))
-            setting = replace(
-                own,
-                zero_sd=bias_sd or _UNKNOWN_ZERO * own.geometry.stress_per_force,
-                drift_sd=drift_sd,
-            )
-            if setting.carried is not None:
-                frozen = copy.deepcopy(past.memory)
-                setting = replace(setting, free=FreeSurface(frozen, self._time))
-            hypotheses.append(Hypothesis(past, setting))
+        self._pasts.wait(self._time)
+        hypotheses = self._pasts.hypotheses(bias_sd, drift_sd, way)
         settings = [one.setting for one in hypotheses]
         known = self._compression_sd, self._path_variance
         self.press = PressPosterior(hypotheses, Intake(settings, self._time, *known, way))
@@ -241,15 +197,15 @@ class PosteriorEstimator(Estimator):
 
     def skip(self) -> None:
         """Let the samples since the last block go by."""
-        self._remember(0.0)
+        self._pasts.remember(self._time, 0.0)
         if self.press is not None:
-            self.press.skip()
+            self.press.intake.skip()
 
     def update(self, block: Block) -> Innovation:
         """Take one block; return how it compared with the prediction."""
         assert self.press is not None
-        self._remember(block.stress)
-        for past in self._pasts:
+        self._pasts.remember(self._time, block.stress)
+        for past in self._pasts.all:
             past.sample_count += block.size
         innovation = self.press.update(block.stress, block.compression, is_past=block.is_past)
         self._see_mismatch()
@@ -260,7 +216,7 @@ class PosteriorEstimator(Estimator):
         press = self.press
         if press is None or press.solved is None or press.best.misses:
             return None
-        return budget_of(press.setting, press.solved, press.compression_sd)
+        return budget_of(press.setting, press.solved, press.intake.compression_sd)
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""
@@ -288,30 +244,14 @@ class PosteriorEstimator(Estimator):
             if one.plateau is not None:
                 one.past.plateau_probability = one.plateau.probability
 
-    def _remember(self, stress: float) -> None:
-        """Take the mean stress of a block into the tissue's memory."""
-        step = self._time - self._moments_at
-        if step > 0.0:
-            for past in self._pasts:
-                past.memory.add(step, self._stress_before, stress)
-            self._moments_at, self._stress_before = self._time, stress
-
-    def _wait(self) -> None:
-        """Let the tissue's memory fade until now."""
-        for past in self._pasts:
-            past.memory.wait(self._time - self._moments_at)
-        self._moments_at = self._time
-
     def _carry(self) -> None:
         """Make the posterior of the press the prior of the next, for each past that it leaves."""
         press, self.press = self.press, None
         if press is None:
             return
-        self._compression_sd = press.compression_sd
+        self._compression_sd = press.intake.compression_sd
         weighed = press.weighed or [(1.0, one) for one in press.hypotheses]
-        self._pasts = [
-            _carried(past, press, weighed, self._moments_at) for past in _different(weighed)
-        ]
+        self._pasts.carry(weighed, press.intake.deepest)
 
     # Result
 
@@ -323,48 +263,3 @@ class PosteriorEstimator(Estimator):
         if estimate is None:
             estimate = prior_estimate(self._best.setting, self._best.shift)
         return estimate._replace(sample_count=self._best.sample_count)
-
-
-def _different(weighed: Sequence[tuple[float, Hypothesis]]) -> list[Past]:
-    """Return the pasts of hypotheses, the likeliest first."""
-    found: list[Past] = []
-    for _, one in sorted(weighed, key=lambda pair: -pair[0]):
-        if all(one.past is not past for past in found):
-            found.append(one.past)
-    return found
-
-
-def _carried(
-    past: Past, press: PressPosterior, weighed: Sequence[tuple[float, Hypothesis]], time: float
-) -> Past:
-    """Return a past after a press: all of its hypotheses in one Gaussian.
-
-    `time`: at which its memory is what it is [s].
-    """
-    own = [(weight, one) for weight, one in weighed if one.past is past]
-    _, likeliest = max(own, key=lambda pair: pair[0])
-    past.log_odds = math.log(sum(weight for weight, _ in own))
-    past.deepest = likeliest.deepest(press.deepest)
-    past.changes += likeliest.change_count
-    past.other = None
-    if likeliest.solved is not None:
-        mean, covariance = moments(likeliest.tissue_now)
-        free = likeliest.setting.free
-        if free is not None:
-            # What earlier presses have left counts in the stress of the tissue as it is now.
-            softer = likeliest.solved.model.softening(mean) - 1.0
-            past.memory.values += softer * free.at(np.array([time]))[0]
-        carried = Carried(likeliest.solved.model, mean, covariance)
-        past.setting = replace(past.setting, carried=carried)
-    return past
-
-
-def _touch_speed(way: Array | None) -> float:
-    """Return the speed of the compression before a touch [1/s]; 0: it was not seen to come."""
-    if way is None or way.shape[1] < 2:
-        return 0.0
-    times, compressions, _ = way
-    near = times >= times[-1] - _TOUCH_TIME
-    if np.ptp(times[near]) <= 0.0:
-        return 0.0
-    return float(np.polyfit(times[near] - times[-1], compressions[near], 1)[0])

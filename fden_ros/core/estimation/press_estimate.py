@@ -141,8 +141,8 @@ def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, 
     """
     if one.solved is None or one.setting.carried is None:
         return None
-    by_state = one.solved.model.by_softening
-    ratio = one.solved.model.softening(mean)
+    by_state = one.solved.model.surface.by_softening
+    ratio = one.solved.model.surface.softening(mean)
     return ratio, ratio * math.sqrt(max(float(by_state @ covariance @ by_state), 0.0))
 
 
@@ -200,7 +200,7 @@ def _beyond(press: PressPosterior, one: Hypothesis, component: Component) -> flo
     """Return P(largest strain > 1/Gn) of a component of (ln G, ln Gn, alpha, origin) [1]."""
     geometry = one.setting.geometry
     mean, deviations = component.mean, np.sqrt(np.maximum(component.covariance.diagonal(), 0.0))
-    deepest = one.deepest(press.deepest) - one.past.shift
+    deepest = one.deepest(press.intake.deepest) - one.past.shift
     compression = max(deepest - float(mean[_ORIGIN]), 0.0)
     strain = geometry.strain(compression)
     strain_sd = geometry.strain_slope(compression) * float(deviations[_ORIGIN])

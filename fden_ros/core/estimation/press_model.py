@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from fden_ros.core.estimation.loops import (
     ResponseState,
     Steps,
 )
+from fden_ros.core.estimation.press_motion import PressMotion
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.tissue_surface import FreeSurface, TissueSurface
 from fden_ros.core.estimation.unknowns import (
     CHARACTERISTIC_KNOTS,
     KERNEL_HATS,
@@ -29,21 +31,9 @@ from fden_ros.core.estimation.unknowns import (
     LOG_GN,
     ORDER,
     Unknown,
-    splines,
+    order_of,
 )
-from fden_ros.core.law import (
-    HIGHEST_ORDER,
-    LOWEST_ORDER,
-    RATES,
-    Geometry,
-    StressMoments,
-    creep_slopes,
-    creep_weights,
-    elastic_responses,
-    relaxation_after,
-    relaxation_slopes,
-    relaxation_weights,
-)
+from fden_ros.core.law import Geometry, relaxation_after, relaxation_slopes, relaxation_weights
 
 
 @dataclass(frozen=True)
@@ -59,26 +49,6 @@ class Evaluation:
     state: ResponseState  #: from which the response goes on
 
 
-@dataclass(frozen=True)
-class FreeSurface:
-    """What earlier presses have left of the tissue: the creep of their stress."""
-
-    moments: StressMoments  #: at `time`
-    time: float  #: [s], of the clock of the records
-
-    def at(self, times: Array) -> Array:
-        """Return the exponential moments at times, shape (n, RATES)."""
-        return self.moments.after(np.maximum(times - self.time, 0.0))
-
-
-class _Design(NamedTuple):
-    """What a record alone decides of the model."""
-
-    motions: Array  #: compressions by one standard deviation of each unknown, (unknowns, points)
-    stresses: Array  #: of the stress at the blocks, (unknowns, m)
-    free: Array | None  #: moments of the stress of earlier presses, (points, RATES)
-
-
 class PressModel:
     """The model of one press.
 
@@ -92,6 +62,15 @@ class PressModel:
         Strain of the characteristic's last knot [1].
     free : FreeSurface or None
         None: the tissue is at rest before the press.
+
+    Attributes
+    ----------
+    motion : PressMotion
+    surface : TissueSurface
+    kernel, characteristic : slice
+        Places of the law's errors in a state.
+    size : int
+        Of a state.
     """
 
     def __init__(
@@ -104,16 +83,13 @@ class PressModel:
         free: FreeSurface | None = None,
     ) -> None:
         self.unknowns, self.is_bent, self.last_knot = unknowns, is_bent, last_knot
-        self.geometry, self._free = geometry, free
+        self.geometry = geometry
         self.kernel = slice(len(unknowns), len(unknowns) + KERNEL_KNOTS.size * is_bent)
         stop = self.kernel.stop + CHARACTERISTIC_KNOTS * is_bent
         self.characteristic = slice(self.kernel.stop, stop)
         self.size = stop
         names = [u.name for u in unknowns]
         self._compliance = names.index("compliance") if "compliance" in names else None
-        late = [k for k, u in enumerate(unknowns) if u.touch_speed is not None]
-        self._late = late[0] if late else None  # the delay that shifts the motion
-        self._moved: tuple[Points, float, Points] | None = None
         self._adds_stress = np.array([u.stress is not None for u in unknowns])
         knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
@@ -122,21 +98,19 @@ class PressModel:
         self._weight_of = np.full(self.size, -1, dtype=np.int64)
         self._weight_of[ORDER] = 0
         self._weight_of[self.kernel] = 1 + np.arange(kernel.size)
-        # By what unknowns change ln G since the last press, which has left less or more by that.
-        self.by_softening = np.zeros(self.size)
-        self.by_softening[: len(unknowns)] = [
-            u.of_law[LOG_G] if u.of_law else 0.0 for u in unknowns
-        ]
-        self._designed: tuple[Points, _Design] | None = None
+        self.motion = PressMotion(unknowns)
+        self.surface = TissueSurface(
+            unknowns, self.motion, geometry, self.kernel, self.characteristic, last_knot, free
+        )
         self._law_at: tuple[Array, tuple[LawState, Array]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return it without what the last record and state have decided: that is found anew."""
-        return self.__dict__ | {"_designed": None, "_law_at": None, "_moved": None}
+        """Return it without what the last state has decided: that is found anew."""
+        return self.__dict__ | {"_law_at": None}
 
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
-        return _order(state)
+        return order_of(state)
 
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
@@ -161,9 +135,9 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        points = self.moved(points, state)
+        points = self.motion.moved(points, state)
         _, rows = self._law(state)
-        design, (surface, lifted) = self._design(points), self._surface(points, state)
+        design, (surface, lifted) = self.motion.design(points), self.surface.at(points, state)
         columns = Columns(self._kinds, design.motions, self._weight_of, rows, lifted)
         begun = going_on if going_on is not None else ResponseState(self.size)
         found = self._evaluated(points, state, surface, columns, begun)
@@ -181,8 +155,8 @@ class PressModel:
         FloatingPointError
             If the stress is beyond floating-point numbers.
         """
-        points = self.moved(points, state)
-        surface, _ = self._surface(points, state)
+        points = self.motion.moved(points, state)
+        surface, _ = self.surface.at(points, state)
         return self._evaluated(points, state, surface, None, ResponseState(0))
 
     def _evaluated(
@@ -194,10 +168,10 @@ class PressModel:
         begun: ResponseState,
     ) -> Evaluation:
         steps = Steps(points.elapsed, points.moments, points.first, points.last)
-        compressions = self._compressions(points, state)
+        compressions = self.motion.compressions(points, state)
         law, _ = self._law(state)
         found = loops.respond(law, steps, compressions, surface, columns, begun)
-        stress = found.stress + self._of_unknowns(state) @ self._design(points).stresses
+        stress = found.stress + self.motion.added_stress(points, state)
         return Evaluation(stress, found.jacobian, found.elastic, found.slope, begun)
 
     def _law(self, state: Array) -> tuple[LawState, Array]:
@@ -207,7 +181,7 @@ class PressModel:
         """
         if self._law_at is not None and np.array_equal(self._law_at[0], state):
             return self._law_at[1]
-        weights, slopes = self.relaxation(_order(state))
+        weights, slopes = self.relaxation(order_of(state))
         rows = slopes[None]
         if self.is_bent:
             bend = np.exp(KERNEL_HATS @ state[self.kernel])
@@ -244,158 +218,3 @@ class PressModel:
         if self._compliance is not None:
             result[self._compliance] = -self._compliance_unit
         return result
-
-    def _design(self, points: Points) -> _Design:
-        """Return the design of a record; that of the last one is kept."""
-        if self._designed is None or self._designed[0] is not points:
-            motions = np.zeros((len(self.unknowns), points.times.size))
-            stresses = np.zeros((len(self.unknowns), points.stresses.size))
-            for k, unknown in enumerate(self.unknowns):
-                if unknown.motion is not None:
-                    motions[k] = unknown.motion(points)
-                if unknown.stress is not None:
-                    stresses[k] = unknown.stress(points)
-            free = self._free.at(points.times) if self._free is not None else None
-            self._designed = points, _Design(motions, stresses, free)
-        return self._designed[1]
-
-    def moved(self, points: Points, state: Array) -> Points:
-        """Return a record with its motion as early as a long delay says; that of the last is kept.
-
-        What follows from the record at a state takes this one.
-        """
-        if self._late is None:
-            return points
-        unknown = self.unknowns[self._late]
-        assert unknown.touch_speed is not None
-        delay = unknown.sd * float(state[self._late])
-        if self._moved is None or self._moved[0] is not points or self._moved[1] != delay:
-            self._moved = points, delay, points.earlier(delay, unknown.touch_speed)
-        return self._moved[2]
-
-    def _compressions(self, points: Points, state: Array) -> Array:
-        """Return the compressions from the origin at the points of a record that is moved."""
-        own = self._of_unknowns(state)
-        if self._late is not None:
-            own = own.copy()
-            own[self._late] = 0.0  # it has moved the record
-        result: Array = points.compressions + own @ self._design(points).motions
-        return result
-
-    def ends(self, points: Points, state: Array) -> tuple[Array, Array]:
-        """Return the compressions from the origin at the ends of blocks [1], (m,).
-
-        And their derivatives by the state, (m, size).
-        """
-        points = self.moved(points, state)
-        last = points.last
-        by_state = np.zeros((last.size, self.size))
-        by_state[:, : len(self.unknowns)] = self._design(points).motions[:, last].T
-        return self._compressions(points, state)[last], by_state
-
-    def _of_unknowns(self, state: Array) -> Array:
-        """Return the state without the law's errors."""
-        return state[: len(self.unknowns)]
-
-    # The free surface: what earlier presses have left. A change of the stiffness lowers it by what
-    # it adds to the elastic response.
-
-    def touch_gradient(self, points: Points, state: Array) -> Array:
-        """Return how each unknown moves the touch, as a unit vector (n,)."""
-        points = self.moved(points, state)
-        if self._free is None:
-            result, motions = np.zeros(self.size), self._design(points).motions
-            first = int(np.argmax(self._compressions(points, state) > 0.0))
-            result[: len(self.unknowns)] = motions[:, first]
-        else:
-            # Tissue that has not recovered is met where the elastic response passes its surface.
-            elastic, by_unknowns = self._elastic(points, state)
-            surface, lifted = self._creep(points, state)
-            first = int(np.argmax(elastic > surface))
-            result = by_unknowns[:, first] - lifted[:, first]
-        size = float(np.linalg.norm(result))
-        return result / size if size else result
-
-    def _surface(self, points: Points, state: Array) -> tuple[Array | None, Array | None]:
-        """Return the free surface at the points, and its derivatives, (size, points).
-
-        None: it is at 0.
-        """
-        surface, lifted = (None, None) if self._free is None else self._creep(points, state)
-        ratio = self._change(points, state)
-        if ratio is None:
-            return surface, lifted
-        elastic, by_unknowns = self._elastic(points, state)
-        added = ratio * elastic
-        surface = -added if surface is None else surface - added
-        lifted = -ratio * by_unknowns if lifted is None else lifted - ratio * by_unknowns
-        for k, unknown in enumerate(self.unknowns):
-            if unknown.since is not None:
-                lifted[k] -= elastic * (points.times > unknown.since)
-        return surface, lifted
-
-    def _creep(self, points: Points, state: Array) -> tuple[Array, Array]:
-        """Return the creep of earlier presses at the points, and its derivatives, (size, points).
-
-        To first order the creep is less by what the relaxation is more.
-        """
-        moments, order = self._design(points).free, _order(state)
-        assert moments is not None
-        own = KERNEL_HATS[: RATES.size, : self.kernel.stop - self.kernel.start]
-        bend = np.exp(-(own @ state[self.kernel]))
-        factor = self.softening(state)
-        weights = factor * creep_weights(order) * bend
-        lifted = np.zeros((self.size, points.times.size))
-        lifted[ORDER] = factor * moments @ (creep_slopes(order) * bend)
-        lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
-        surface = moments @ weights
-        lifted += np.outer(self.by_softening, surface)
-        return surface, lifted
-
-    def softening(self, state: Array) -> float:
-        """Return the factor of the stiffness since the last press [1]."""
-        return math.exp(float(self.by_softening @ state))
-
-    def changes(self, state: Array) -> tuple[Array, Array]:
-        """Return the sizes of the changes [1] and their times [s]."""
-        found = [
-            (value, u.since)
-            for value, u in zip(state, self.unknowns, strict=False)
-            if u.since is not None
-        ]
-        sizes, times = np.array(found, dtype=float).reshape(-1, 2).T
-        return np.ascontiguousarray(sizes), np.ascontiguousarray(times)
-
-    def _change(self, points: Points, state: Array) -> Array | None:
-        """Return the part of the elastic response that changes add; None: there are none."""
-        if all(unknown.since is None for unknown in self.unknowns):
-            return None
-        ratio = np.zeros(points.times.size)
-        for value, unknown in zip(state, self.unknowns, strict=False):
-            if unknown.since is not None:
-                ratio += value * (points.times > unknown.since)
-        return ratio
-
-    def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
-        """Return the elastic response at the points, and its derivatives, (size, points)."""
-        compressions = self._compressions(points, state)
-        if self.geometry.is_one_sided:
-            compressions = np.maximum(compressions, 0.0)
-        sizes = np.abs(compressions)
-        strains, slopes, _ = self.geometry.strains(sizes)
-        found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
-        knots = self.characteristic.stop - self.characteristic.start
-        of_knots, _ = splines(strains, self.last_knot, knots)
-        bend = np.exp(of_knots @ state[self.characteristic])
-        elastic = found.value * bend
-        slope = found.by_strain * slopes * (strains > 0.0) * bend
-        by_unknowns = np.zeros((self.size, sizes.size))
-        by_unknowns[: len(self.unknowns)] = slope * self._design(points).motions
-        by_unknowns[LOG_G] += elastic
-        by_unknowns[LOG_GN] += found.by_log_nonlinear_stiffness * bend
-        by_unknowns[self.characteristic] = elastic * of_knots.T
-        return elastic, by_unknowns
-
-
-def _order(state: Array) -> float:
-    return float(np.clip(state[ORDER], LOWEST_ORDER, HIGHEST_ORDER))

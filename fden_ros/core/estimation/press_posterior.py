@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
@@ -23,8 +24,7 @@ from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.mixture import weights_of
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE
-from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
-from fden_ros.core.estimation.record import Block, Record, Sample
+from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
 from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.whiteness import NO_CHANCE
@@ -68,13 +68,14 @@ class PressPosterior:
         The likeliest.
     weighed : list of (float, Hypothesis)
         Those that have a solution, with weights that add up to 1.
+    intake : Intake
     begun_at, solved_at : int
         Blocks in the records of the newest solutions that were begun, and of the newest that have
         ended.
     """
 
     def __init__(self, hypotheses: Sequence[Hypothesis], intake: Intake) -> None:
-        self.hypotheses, self._intake = list(hypotheses), intake
+        self.hypotheses, self.intake = list(hypotheses), intake
         self.weigh()
         self._watch = ChangeWatch()
         self._is_surprised = False
@@ -93,21 +94,6 @@ class PressPosterior:
         """The newest solution of the likeliest hypothesis; None: there is none yet."""
         return self.best.solved
 
-    @property
-    def record(self) -> Record:
-        """What was measured."""
-        return self._intake.record
-
-    @property
-    def deepest(self) -> float:
-        """Largest compression of the press [1]."""
-        return self._intake.deepest
-
-    @property
-    def compression_sd(self) -> float:
-        """Standard deviation of a sample's compression [1]."""
-        return self._intake.compression_sd
-
     def weigh(self) -> None:
         """Weigh the hypotheses that have a solution."""
         self.best = max(self.hypotheses, key=lambda one: one.log_weight)
@@ -119,11 +105,6 @@ class PressPosterior:
     def likely(self) -> list[Hypothesis]:
         """Those that decide what is claimed."""
         return [one for weight, one in self.weighed if weight >= LEAST_WEIGHT]
-
-    @property
-    def change_count(self) -> int:
-        """Changes of the tissue under the probe that were found."""
-        return self.best.change_count
 
     @property
     def shows_relaxation(self) -> bool:
@@ -155,19 +136,7 @@ class PressPosterior:
 
     def take(self, sample: Sample, step: float, *, is_free: bool) -> None:
         """Take a sample, `step` seconds after the last."""
-        self._intake.take(sample, step, self._lateness(), is_free=is_free)
-
-    def _lateness(self) -> float:
-        """Return how late the displacement may be [s], as far as is known by now."""
-        most = self.setting.delay_reach if self.setting.is_late else 0.0
-        if not most or self.solved is None:
-            return most
-        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
-        return min(max(delay + MOST_LATE * sd, 0.0), most)
-
-    def skip(self) -> None:
-        """Let the samples since the last block go by."""
-        self._intake.skip()
+        self.intake.take(sample, step, self.best.lateness, is_free=is_free)
 
     def update(self, stress: float, compression: float, *, is_past: bool = False) -> Innovation:
         """Take the block of the samples since the last; return how the filter predicted it.
@@ -181,7 +150,7 @@ class PressPosterior:
 
         """
         innovation = self._unpredicted(stress)
-        blocks, now = self._intake.blocks(), self._intake.now
+        blocks, now = self.intake.blocks(), self.intake.now
         if self.best.filter is not None and blocks:
             innovation = self._filtered(blocks, compression)
         if self._begun is not None:
@@ -195,7 +164,7 @@ class PressPosterior:
             self._look(now)
         elif self._begun is None and not is_past and self._is_due:
             if self._watch.is_placing_due(now):
-                self._watch.begin_placing(self.best, self._intake)
+                self._watch.begin_placing(self.best, self.intake)
             else:
                 self.begin_solution()
         self.work(now - self._worked_at)
@@ -216,7 +185,7 @@ class PressPosterior:
     def _filtered(self, blocks: list[Block], compression: float) -> Innovation:
         """Let the filters take the newest blocks; return how the likeliest predicted them."""
         best = self.best
-        points = self.record.points_after(blocks, self._last)
+        points = self.intake.record.points_after(blocks, self._last)
         self._last = float(points.times[-1])
         found = {id(one): one.step(points) for one in self.hypotheses}[id(best)]
         self.weigh()
@@ -231,16 +200,16 @@ class PressPosterior:
     @property
     def _elapsed(self) -> float:
         """Time since the touch [s]."""
-        return self._intake.now - self._start
+        return self.intake.now - self._start
 
     @property
     def _is_due(self) -> bool:
-        return self._schedule.is_due(self._elapsed, self.record.max_compression, self.best)
+        return self._schedule.is_due(self._elapsed, self.intake.record.max_compression, self.best)
 
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._schedule.is_over, self._begun = True, None
-        self._intake.see_ahead()
+        self.intake.see_ahead()
         if not self._watch.is_working:
             self.begin_solution()
 
@@ -251,14 +220,15 @@ class PressPosterior:
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
         """Begin to solve the posterior of the record so far, for all hypotheses."""
-        points, elapsed = self.record.points(), self._elapsed
+        intake, elapsed = self.intake, self._elapsed
+        record, points = intake.record, intake.record.points()
         if points.stresses.size < LEAST_BLOCKS or not self._schedule.can_begin:
             return
-        has_slowed = self.record.has_slowed
+        has_slowed = record.has_slowed
         care = self._schedule.care(care, elapsed, self.best, has_slowed=has_slowed)
         epoch = Epoch(
             tuple(
-                one.search(points, elapsed, self.deepest, self.compression_sd, care)
+                one.search(points, elapsed, intake.deepest, intake.compression_sd, care)
                 for one in self.hypotheses
             )
         )
@@ -266,7 +236,7 @@ class PressPosterior:
             tuple(self.hypotheses),
             float(points.times[-1]),
             elapsed,
-            self.record.max_compression,
+            record.max_compression,
             # Or an earlier press of the site has shown it.
             self.setting.carried is not None or has_slowed,
             Advanced(epoch.in_parts),
@@ -298,7 +268,7 @@ class PressPosterior:
         if not since:
             self._last = end
             return
-        points = self.record.points_after(since, end)
+        points = self.intake.record.points_after(since, end)
         self._last = float(points.times[-1])
         for one in solved:
             if one in self.hypotheses and one.step(points) is None:
@@ -308,7 +278,7 @@ class PressPosterior:
 
     def _look(self, now: float) -> None:
         """Look for a change; a solution would absorb it, so that one waits for it to show."""
-        if not self._watch.is_look_due(now) or self._watch.begin_look(self.best, self._intake):
+        if not self._watch.is_look_due(now) or self._watch.begin_look(self.best, self.intake):
             return
         self._watch.give_up()
         if self._begun is None:

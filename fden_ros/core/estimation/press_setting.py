@@ -15,11 +15,12 @@ from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals import functions
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
+from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.estimation.unknowns import (
     LAW,
     LINEAR_DELAY,
@@ -33,10 +34,6 @@ from fden_ros.core.law import Geometry
 
 #: Standard deviations of the delay for which stress waits for its motion [1].
 MOST_LATE = 2.0
-#: Delays at which a solution may begin, in standard deviations [1]: as far as stress waits.
-_DELAYS = np.linspace(-MOST_LATE, MOST_LATE, 17)
-#: Added to the variances of scaled unknowns [1], so that rounding leaves them positive.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,8 @@ class PressSetting:
         if not self.is_late:
             return start
         best, nearest = start, -math.inf
-        for place in _DELAYS:
+        # As far as stress waits.
+        for place in np.linspace(-MOST_LATE, MOST_LATE, 17):
             tried = start.copy()
             tried[self._delay_place] += place
             stress = model.response(points, tried).stress
@@ -253,7 +251,8 @@ def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Bel
     covariance = carried.covariance[np.ix_(sources, sources)]
     scale = np.sqrt(covariance.diagonal())
     scale[scale == 0.0] = 1.0
-    scaled = covariance / np.outer(scale, scale) + _ROUNDING * np.eye(scale.size)
+    # So that rounding leaves the variances positive.
+    scaled = covariance / np.outer(scale, scale) + 1e-9 * np.eye(scale.size)
     precision[np.ix_(places, places)] = np.linalg.inv(scaled) / np.outer(scale, scale)
     _count_changes(precision, model)
     return Belief(mean, precision), model.is_bent and not has_fields

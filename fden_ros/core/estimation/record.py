@@ -28,145 +28,39 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.approach import Approach
+from fden_ros.core.estimation.block import (
+    LINE_TOLERANCE,
+    SAME_TIME,
+    TOUCH_TIME,
+    Block,
+    Cell,
+    Sample,
+)
 
 #: Time of a block [s]: twice this costs a factor of 3 at a noise of 0.1 mN (test_core_record).
 BLOCK_TIME = 0.01
-#: Samples are blocks of their own for so long after the first, just before the touch [s]; above
-#: 1 kHz those of this time are one [s].
-TOUCH_TIME, _LEAST_BLOCK = 0.05, 1e-3
+#: Above 1 kHz the samples near the touch are blocks of this time [s].
+_LEAST_BLOCK = 1e-3
 #: Noise of the compression above which a sample alone tells nothing of the touch [1].
 _SHARP_NOISE = 5e-5
-#: A block ends where the motion leaves its line by this compression [1] and as many standard
-#: deviations of the noise [1]; a block goes on along the line of those before within the latter.
-_LINE_TOLERANCE, _LINE_DEVIATIONS = 1.5e-5, 4.0
+#: A block ends where the motion leaves its line by as many standard deviations of the noise [1],
+#: beside the tolerance; a block goes on along the line of those before within the noise alone.
+_LINE_DEVIATIONS = 4.0
 #: The motion changes where it leaves the line of a block by this compression [1]: 1.5e-5 would be
 #: exceeded by noise of 0.1 um, which would move estimates by half a standard deviation.
 _MOST_OFF = 2e-4
 #: A block may last for this part of the time since the motion changed [1], while its compression
 #: changes by at most this [1].
 _GROWTH, _MOST_CHANGE = 0.05, 5e-4
-#: Times closer than this are the same [s]: rounding must not decide where blocks end and are
-#: joined, or two records of one press would have other blocks, whose evidence cannot be compared.
-_SAME_TIME = 1e-6
 #: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
 #: would else meet the noise of the motion in a hold, which makes them less than they are.
 _SLOPE_DEVIATIONS = 3.0
-#: A probe is taken to have come along its line for at most this time [s].
-_LONGEST_APPROACH = 1.0
-#: The way of the probe that was seen before the touch makes at most 12 blocks [1].
-_BLOCKS_OF_WAY = 12
 #: Blocks over which a speed is told from the noise of the motion [1]: 50 ms.
 _BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
-
-
-class Sample(NamedTuple):
-    """One sample of a press."""
-
-    time: float  #: [s]
-    compression: float  #: [1]
-    stress: float  #: [Pa]
-
-
-class Block(NamedTuple):
-    """A block as its line, and what was observed."""
-
-    middle: float  #: [s]
-    spread: float  #: standard deviation of its times [s]
-    compression: float  #: [1]
-    slope: float  #: [1/s]
-    slope_sd: float  #: of the slope over that of a sample [1/s]; 0: one sample has none
-    step: float  #: between its samples [s]; 0: it is one sample
-    duration: float  #: from its first sample to its last [s]
-    samples: int
-    stress: float  #: [Pa]
-    is_observed: bool
-
-    def along(self, path: _Cell) -> Block:
-        """Return the same block on the line of a longer one."""
-        if path.slope_sd == 0.0:
-            return self
-        return self._replace(
-            compression=path.at(self.middle), slope=path.line()[3], slope_sd=path.slope_sd
-        )
-
-
-@dataclass
-class _Cell:
-    """Sums over the samples of a block, times counted from its first."""
-
-    start: float
-    is_observed: bool
-    count: int = 0
-    time: float = 0.0
-    time_square: float = 0.0
-    compression: float = 0.0
-    product: float = 0.0
-    stress: float = 0.0
-    end: float = 0.0
-
-    def add(self, time: float, compression: float, stress: float) -> None:
-        t = time - self.start
-        self.count += 1
-        self.time += t
-        self.time_square += t * t
-        self.compression += compression
-        self.product += t * compression
-        self.stress += stress
-        self.end = time
-
-    def merged(self, other: _Cell) -> _Cell:
-        """Return the block of this and the next."""
-        shift = other.start - self.start
-        return _Cell(
-            self.start,
-            self.is_observed,
-            self.count + other.count,
-            self.time + other.time + other.count * shift,
-            self.time_square
-            + other.time_square
-            + 2.0 * shift * other.time
-            + other.count * shift**2,
-            self.compression + other.compression,
-            self.product + other.product + shift * other.compression,
-            self.stress + other.stress,
-            other.end,
-        )
-
-    def line(self) -> tuple[float, float, float, float]:
-        """Return mean time, its standard deviation, mean compression, and its slope."""
-        mean = self.time / self.count
-        variance = max(self.time_square / self.count - mean**2, 0.0)
-        compression = self.compression / self.count
-        if self.count == 1 or variance == 0.0:
-            return self.start + mean, 0.0, compression, 0.0
-        slope = (self.product / self.count - mean * compression) / variance
-        return self.start + mean, math.sqrt(variance), compression, slope
-
-    @property
-    def slope_sd(self) -> float:
-        """Standard deviation of the slope over that of a sample [1/s]; 0: one sample has none."""
-        spread = self.line()[1]
-        return 1.0 / (spread * math.sqrt(self.count)) if spread > 0.0 else 0.0
-
-    @property
-    def step(self) -> float:
-        """Time between its samples [s]; 0: it is one sample."""
-        return (self.end - self.start) / max(self.count - 1, 1)
-
-    def row(self) -> Block:
-        """Return what becomes of it in arrays."""
-        return Block(
-            *self.line(), self.slope_sd, self.step, self.end - self.start, self.count,
-            self.stress / self.count, self.is_observed,
-        )  # fmt: skip
-
-    def at(self, time: float) -> float:
-        """Return the compression of the line at a time."""
-        mean, _, compression, slope = self.line()
-        return compression + slope * (time - mean)
 
 
 @dataclass(frozen=True)
@@ -283,15 +177,14 @@ class Record:
         is_at_rest: bool = False,
         delay: float = 0.0,
     ) -> None:
-        self.noise_sd, self._reach, self._is_at_rest = noise_sd, reach, is_at_rest
-        self._delay = delay
-        self._ahead: list[_Cell] = []  # the motion since the newest sample
-        self._way: list[_Cell] = []
-        self._cells: list[_Cell] = []
+        self.noise_sd, self._delay = noise_sd, delay
+        self._approach = Approach(reach, is_at_rest=is_at_rest)
+        self._ahead: list[Cell] = []  # the motion since the newest sample
+        self._cells: list[Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
-        self._path: _Cell | None = None  # the newest line that blocks have followed
+        self._path: Cell | None = None  # the newest line that blocks have followed
         self._path_begin = 0  # its first block
-        self._open: _Cell | None = None
+        self._open: Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
         self._block_time = BLOCK_TIME
@@ -337,20 +230,20 @@ class Record:
         ):
             self._close()
         if self._open is None:
-            self._open = _Cell(time, is_observed)
+            self._open = Cell(time, is_observed)
         self._open.add(time, compression, stress)
         if is_observed:
             self.max_compression = max(self.max_compression, compression)
 
-    def _is_complete(self, cell: _Cell, time: float, compression: float, observed: bool) -> bool:
+    def _is_complete(self, cell: Cell, time: float, compression: float, observed: bool) -> bool:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
         if cell.start - self._start < self._touch_time:
-            return time - cell.start > _LEAST_BLOCK - _SAME_TIME
+            return time - cell.start > _LEAST_BLOCK - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        if time - cell.start > self._block_time - 0.5 * step + _SAME_TIME:
+        if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
             return True
         if cell.count < 2:
             return False
@@ -358,7 +251,7 @@ class Record:
         return abs(compression - cell.at(time)) > self._tolerance(spread)
 
     def _tolerance(self, spread: float) -> float:
-        return _LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
+        return LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
 
     def _close(self) -> None:
         path, longer = self._path, self._newest_path()
@@ -385,7 +278,7 @@ class Record:
         """Make each two blocks one, but for those near the touch."""
         assert self._start is not None
         self._block_time *= 2.0
-        halved: list[_Cell] = []
+        halved: list[Cell] = []
         is_open = False  # the newest of them waits for another
         for cell in self._cells:
             is_near = cell.start - self._start < TOUCH_TIME
@@ -398,49 +291,38 @@ class Record:
         self._rows = [cell.row() for cell in halved]
         self._path_begin = len(halved) - 1
 
-    def _end_of(self, path: _Cell) -> _Cell | None:
+    def _end_of(self, path: Cell) -> Cell | None:
         """Return the last step of the motion along a path; None: the last block has it nearly.
 
         The two points of a long block are far from its end, and the motion would turn there.
         """
         last = self._cells[-1]
         middle, spread, _, _ = last.line()
-        if last.end - middle - spread <= max(last.step, BLOCK_TIME) + _SAME_TIME:
+        if last.end - middle - spread <= max(last.step, BLOCK_TIME) + SAME_TIME:
             return None
-        end = _Cell(last.end - last.step, False)
+        end = Cell(last.end - last.step, False)
         for time in (end.start, last.end):
             end.add(time, path.at(time), 0.0)
         return end
 
-    def _rows_on_path(self, path: _Cell | None) -> list[Block]:
+    def _rows_on_path(self, path: Cell | None) -> list[Block]:
         """Return all rows, those of the newest blocks on a path; None: there is no block."""
         if path is None:
             return []
         newest = [row.along(path) for row in self._rows[self._path_begin :]]
         return self._rows[: self._path_begin] + newest
 
-    def _is_along(self, path: _Cell, cell: _Cell) -> bool:
-        """Whether a block goes on along a path, as far as the noise of the motion tells."""
-        begun, width, _, path_slope = path.line()
-        middle, spread, compression, slope = cell.line()
-        if width == 0.0:
-            return cell.count == 1
-        place = (middle - begun) / width
-        mean_sd = math.sqrt(1.0 / cell.count + (1.0 + place**2) / path.count)
-        most = _LINE_DEVIATIONS * self.noise_sd
-        if abs(compression - path.at(middle)) > most * mean_sd:
-            return False
-        if spread == 0.0:
-            return True
-        return abs(slope - path_slope) <= most * math.hypot(cell.slope_sd, path.slope_sd)
-
-    def _newest_path(self) -> _Cell | None:
+    def _newest_path(self) -> Cell | None:
         """Return the path with the samples since the last block, if they go on along it."""
-        if self._path is None or self._open is None or not self._is_along(self._path, self._open):
+        if (
+            self._path is None
+            or self._open is None
+            or not self._open.is_along(self._path, _LINE_DEVIATIONS * self.noise_sd)
+        ):
             return None
         return self._path.merged(self._open)
 
-    def _joins(self, last: _Cell, cell: _Cell) -> bool:
+    def _joins(self, last: Cell, cell: Cell) -> bool:
         """Whether a block goes on with the next; takes note where the motion changes."""
         assert self._start is not None
         middle = cell.line()[0]
@@ -458,7 +340,7 @@ class Record:
         change = abs(cell.compression / cell.count - last.compression / last.count)
         return (
             change < _MOST_CHANGE + _LINE_DEVIATIONS * self.noise_sd * spread
-            and cell.end - last.start <= _GROWTH * (cell.end - self._changed) + _SAME_TIME
+            and cell.end - last.start <= _GROWTH * (cell.end - self._changed) + SAME_TIME
         )
 
     def points(self) -> Points:
@@ -469,8 +351,7 @@ class Record:
         if path is None and self._path is not None and opened:
             opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
-        if self._reach or self._is_at_rest:
-            rows = [cell.row() for cell in self._approach(self._cells + opened)] + rows
+        rows = [cell.row() for cell in self._approach.cells(self._cells + opened)] + rows
         found = _points(rows, self.noise_sd)
         return found if not self._delay else replace(found, path=self._path_of(rows))
 
@@ -478,8 +359,8 @@ class Record:
         """Take the motion since the newest sample, whose stress does not count yet."""
         self._ahead = []
         for sample in samples:
-            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - _SAME_TIME:
-                self._ahead.append(_Cell(sample.time, False))
+            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - SAME_TIME:
+                self._ahead.append(Cell(sample.time, False))
             self._ahead[-1].add(*sample)
 
     def _path_of(self, rows: Sequence[Block]) -> tuple[Array, Array, Array]:
@@ -488,55 +369,15 @@ class Record:
         found = _points([*rows, *ahead], self.noise_sd)
         return found.times, found.compressions, found.speeds
 
-    def _approach(self, cells: Sequence[_Cell]) -> list[_Cell]:
-        """Return the motion before the first block where the touch may have been before that one.
-
-        The probe comes as it goes on, along the line of the blocks near the touch; where that is
-        longer than these, as it was seen to come.
-        """
-        near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
-        if len(near) < 2:
-            return []
-        lines = np.array([cell.line()[::2] for cell in near])
-        times, compressions = lines[:, 0] - lines[0, 0], lines[:, 1]
-        speed, first = np.polyfit(times, compressions, 1).tolist()
-        # Tissue that has not recovered from an earlier press is met where the record begins.
-        gone = first if self._is_at_rest else min(first, 0.0)
-        missing = min(gone + self._reach, _LONGEST_APPROACH * speed)
-        if missing <= 0.0:
-            return []
-        if self._way and missing > TOUCH_TIME * speed:
-            return self._way
-        before = _Cell(float(lines[0, 0]) - missing / speed, False)
-        before.add(before.start, first - missing, 0.0)
-        return [before]
-
     def see_way(self, way: Array) -> None:
-        """Take the way before the first sample, as far as the touch may be before that.
+        """Take the way of the probe before the first sample.
 
         Parameters
         ----------
         way : ndarray, shape (3, n)
             Times [s], compressions [1] and stresses [Pa].
         """
-        if not way.size:
-            return
-        compressions = way[1]
-        nominal = 0.0 if self._is_at_rest else compressions[-1]
-        behind = np.flatnonzero(compressions < nominal - self._reach + self._tolerance(1.0))
-        first = int(behind[-1]) if behind.size else int(np.argmin(compressions))
-        times, compressions, _ = own = way[:, first:]
-        # Parts as long as each other, in time and in the way forward together.
-        forward = np.maximum.accumulate(compressions)
-        gone = (times - times[0]) / max(np.ptp(times), _SAME_TIME)
-        gone += (forward - forward[0]) / max(np.ptp(forward), _LINE_TOLERANCE)
-        places = np.searchsorted(gone, np.linspace(0.0, gone[-1], _BLOCKS_OF_WAY + 1)[1:-1])
-        for part in np.split(own, np.unique(places), axis=1):
-            if part.size:
-                cell = _Cell(float(part[0, 0]), True)
-                for sample in part.T.tolist():
-                    cell.add(*sample)
-                self._way.append(cell)
+        self._approach.see_way(way, self._tolerance(1.0))
 
     def blocks(self, samples: Sequence[Sample]) -> list[Block]:
         """Return the newest samples as a block by itself, or as two where the motion changes."""
@@ -559,9 +400,9 @@ class Record:
         return replace(found, path=self._path_of(rows))
 
 
-def _block_of(samples: Sequence[Sample], path: _Cell | None) -> Block:
+def _block_of(samples: Sequence[Sample], path: Cell | None) -> Block:
     """Return samples as a block, on a path if that goes back to its first."""
-    cell = _Cell(samples[0].time, True)
+    cell = Cell(samples[0].time, True)
     for sample in samples:
         cell.add(sample.time, sample.compression, sample.stress)
     return cell.row() if path is None or cell.start < path.start else cell.row().along(path)

@@ -18,9 +18,6 @@ from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 
-#: Part of the variance of what is stated of a rig that a press tells at least [1].
-_LEAST_TOLD = 0.01
-
 
 def misfit(solved: Solved) -> float:
     """Return how far a press says the rig is from what is stated, in standard deviations [1]."""
@@ -28,7 +25,8 @@ def misfit(solved: Solved) -> float:
     before = belief.variances()
     for k, unknown in enumerate(solved.model.unknowns):
         if unknown.lifetime is Lifetime.RIG:
-            told = max(before[k] - best.covariance[k, k], _LEAST_TOLD * before[k])
+            # It tells at least this part of the variance.
+            told = max(before[k] - best.covariance[k, k], 0.01 * before[k])
             off = max(off, abs(best.mean[k] - belief.mean[k]) / math.sqrt(told))
     return off
 
@@ -48,7 +46,7 @@ def motion_evidence(press: PressPosterior) -> list[float] | None:
         now = one.setting.config.uncertainty.surface_motion_sd
         exact = min(weighed.scales for weighed in solved.posterior.grid)
         grid = [exact._replace(motion=scale * stated / now) for scale in MOTION_SCALES]
-        points, maximum = one.points(press.record.points()), solved.best.maximum
+        points, maximum = one.points(press.intake.record.points()), solved.best.maximum
         own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
         found.append(math.log(weight) + np.array(own) - max(own))
     result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()

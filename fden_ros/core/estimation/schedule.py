@@ -15,8 +15,6 @@ _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
 #: It is asked whether the relaxation ends where the press is longer than at the last time by this
 #: factor [1].
 _ASKED_RATIO = 1.5
-#: A long delay is told anew where its standard deviation has fallen to this part [1].
-_TOLD = 0.5
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
 LEAST_BLOCKS = 4
@@ -101,4 +99,5 @@ class Schedule:
         if delays is None or not self.is_delay_open(best):
             return False
         (_, before), (_, now) = delays
-        return now < _TOLD * before
+        # A long delay is told anew where its standard deviation has halved.
+        return now < 0.5 * before

@@ -33,8 +33,6 @@ from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
-#: Starts of ln Gn, about the prior's mean in its standard deviations [1].
-_STARTS = (-0.8, 0.8)
 #: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
 _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
@@ -205,7 +203,8 @@ class Search:
             return [self._touching()]
         found = []
         sd = posterior.model.unknowns[LOG_GN].sd
-        for place in _STARTS if sd > 0.0 else (0.0,):
+        # About the prior's mean in its standard deviations.
+        for place in (-0.8, 0.8) if sd > 0.0 else (0.0,):
             start = posterior.belief.mean.copy()
             start[LOG_GN] += place * sd
             start = self.setting.timed(start, posterior.model, points)

@@ -79,18 +79,13 @@ class _Group(NamedTuple):
     evidence: Array  #: logarithms, (places,)
 
 
-#: From so many standard deviations on the tail of a Gaussian is an exponential [1].
-_FAR = 30.0
 _LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
-#: Least curvature of the log posterior by the order [1]: rounding may leave none.
-_LEAST_CURVATURE = 1e-6
-#: What a place of the grid costs, in points evaluated [1].
-_PLACE_COST = 10
 
 
 def cost_of(points: Points, grid: Sequence[WeighedScales]) -> int:
     """Return what a mixture over a grid costs, in points evaluated."""
-    return EVALUATION_COST + points.times.size + _PLACE_COST * len(grid)
+    # A place of the grid costs as much as 10 points.
+    return EVALUATION_COST + points.times.size + 10 * len(grid)
 
 
 def averaged(
@@ -224,10 +219,12 @@ def _beside_bound(
     curvature += float(shift @ by_order)
     pull = float(side + shift @ towards)
     shift[ORDER] = 1.0
-    sd = 1.0 / math.sqrt(max(float(curvature), _LEAST_CURVATURE))
+    # Rounding may leave no curvature by the order.
+    sd = 1.0 / math.sqrt(max(float(curvature), 1e-6))
     # Of a Gaussian that is cut off at z standard deviations above its mean.
     z = abs(pull) * sd
-    if z > _FAR:
+    # So far out the tail of a Gaussian is an exponential.
+    if z > 30.0:
         # There it falls as an exponential.
         mean, variance, log_tail = sd / z, (sd / z) ** 2, -math.log(z) - _LOG_ROOT_TWO_PI
     else:

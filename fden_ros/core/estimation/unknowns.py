@@ -32,7 +32,15 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.loops import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN, NEAR
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.law import RATES, Geometry, left_after, phi, relaxation_weights
+from fden_ros.core.law import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    RATES,
+    Geometry,
+    left_after,
+    phi,
+    relaxation_weights,
+)
 
 #: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
 #: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.
@@ -82,6 +90,12 @@ class Unknown:
 LAW = ("log_g", "log_gn", "order")
 #: The first places of a state.
 LOG_G, LOG_GN, ORDER, ORIGIN = range(4)
+
+
+def order_of(state: Array) -> float:
+    """Return the order of a state, in the range for which the relaxation is known [1]."""
+    return float(np.clip(state[ORDER], LOWEST_ORDER, HIGHEST_ORDER))
+
 
 # The law's errors: knots, and how they are correlated.
 

@@ -13,8 +13,6 @@ from fden_ros.core.estimation.unknowns import Lifetime, Unknown
 
 #: Name of the unknown.
 SOFTENED = "softened"
-#: Standard deviation of the logarithm of the factor [1]: by a fifth, as in preconditioning.
-_LOG_SD = 0.2
 
 
 def unknowns() -> tuple[Unknown, ...]:
@@ -26,6 +24,7 @@ def unknowns() -> tuple[Unknown, ...]:
             1.0,
             Lifetime.CONTACT,
             log_odds_of_zero=0.0,
-            of_law=(_LOG_SD, 0.0, 0.0),
+            # By a fifth, as in preconditioning.
+            of_law=(0.2, 0.0, 0.0),
         ),
     )

@@ -1,0 +1,177 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The pasts that the tissue under the probe may have had, and what they carry to the next press.
+
+A touch may be of the place before or of another: each past has its prior, its memory and its odds.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.hypothesis import Hypothesis, Past
+from fden_ros.core.estimation.mixture import moments
+from fden_ros.core.estimation.press_setting import Carried, PressSetting
+from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
+from fden_ros.core.estimation.tissue_surface import FreeSurface
+
+#: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
+#: standard deviations off.
+_UNKNOWN_ZERO = 0.01
+
+
+class Pasts:
+    """The pasts of the tissue under the probe.
+
+    Parameters
+    ----------
+    setting : PressSetting
+        What is known of tissue that was not touched.
+
+    Attributes
+    ----------
+    all : list of Past
+        After a press the likeliest is the first.
+    """
+
+    def __init__(self, setting: PressSetting) -> None:
+        self.all = [Past(setting)]
+        self._time = self._stress = 0.0  # of the newest that they remember
+
+    @property
+    def weighed(self) -> list[tuple[float, Past]]:
+        """Those with their probabilities before the present press."""
+        total = float(logsumexp([past.log_odds for past in self.all]))
+        return [(math.exp(past.log_odds - total), past) for past in self.all]
+
+    def remember(self, time: float, stress: float) -> None:
+        """Take the mean stress of a block that ends at a time into the tissue's memory."""
+        step = time - self._time
+        if step > 0.0:
+            for past in self.all:
+                past.memory.add(step, self._stress, stress)
+            self._time, self._stress = time, stress
+
+    def wait(self, time: float) -> None:
+        """Let the tissue's memory fade until a time."""
+        for past in self.all:
+            past.memory.wait(time - self._time)
+        self._time = time
+
+    def may_be_of(self, other: Pasts, shift: float, last: Tissue, log_wider: float) -> None:
+        """Take the two likeliest pasts of another site beside the own, which is not touched yet.
+
+        Parameters
+        ----------
+        other : Pasts
+            They are not used any more.
+        shift : float
+            By which its compressions are larger [1].
+        last : Tissue
+            What was touched there.
+        log_wider : float
+            Of the origin's prior, as of :func:`log_odds_of_another`.
+        """
+        (own,) = self.all
+        setting = own.setting
+        own.other = log_odds_of_another(setting.config, last, log_wider)
+        same = other.all[:2]
+        total = float(logsumexp([past.log_odds for past in same]))
+        for past in same:
+            past.setting = replace(
+                past.setting,
+                config=setting.config,
+                rig=setting.rig,
+                stress_sd=setting.stress_sd,
+            )
+            past.shift += shift
+            past.log_odds -= total
+            past.changes = 0
+            past.other = None
+        self.all = [*same, own]
+
+    def hypotheses(self, zero_sd: float, drift_sd: float, way: Array | None) -> list[Hypothesis]:
+        """Return one for each past, of a press that begins where their memory ends.
+
+        Parameters
+        ----------
+        zero_sd, drift_sd : float
+            Of the press's own zero [Pa] and drift [Pa/s]; a zero_sd of 0: it is not measured.
+        way : ndarray, shape (3, n), optional
+            Of the probe before the touch.
+        """
+        found = []
+        for past in self.all:
+            own = past.setting
+            if own.is_late and own.carried is None and own.origin_sd:
+                past.setting = own = replace(own, touch_speed=_touch_speed(way))
+            setting = replace(
+                own,
+                zero_sd=zero_sd or _UNKNOWN_ZERO * own.geometry.stress_per_force,
+                drift_sd=drift_sd,
+            )
+            if setting.carried is not None:
+                frozen = copy.deepcopy(past.memory)
+                setting = replace(setting, free=FreeSurface(frozen, self._time))
+            found.append(Hypothesis(past, setting))
+        return found
+
+    def carry(self, weighed: Sequence[tuple[float, Hypothesis]], deepest: float) -> None:
+        """Make the posterior of a press the prior of the next, for each past that it leaves.
+
+        Parameters
+        ----------
+        weighed : sequence of (float, Hypothesis)
+            Its hypotheses with their weights.
+        deepest : float
+            Its largest compression, as it is given [1].
+        """
+        self.all = []
+        for _, one in sorted(weighed, key=lambda pair: -pair[0]):
+            if all(one.past is not past for past in self.all):
+                self.all.append(one.past)
+        for past in self.all:
+            own = [(weight, one) for weight, one in weighed if one.past is past]
+            _carry_over(past, own, deepest, self._time)
+
+
+def _carry_over(
+    past: Past, own: Sequence[tuple[float, Hypothesis]], deepest: float, time: float
+) -> None:
+    """Put what a press has told into a past: all of its own hypotheses in one Gaussian.
+
+    `time`: at which its memory is what it is [s].
+    """
+    _, likeliest = max(own, key=lambda pair: pair[0])
+    past.log_odds = math.log(sum(weight for weight, _ in own))
+    past.deepest = likeliest.deepest(deepest)
+    past.changes += likeliest.change_count
+    past.other = None
+    if likeliest.solved is not None:
+        mean, covariance = moments(likeliest.tissue_now)
+        free = likeliest.setting.free
+        if free is not None:
+            # What earlier presses have left counts in the stress of the tissue as it is now.
+            softer = likeliest.solved.model.surface.softening(mean) - 1.0
+            past.memory.values += softer * free.at(np.array([time]))[0]
+        carried = Carried(likeliest.solved.model, mean, covariance)
+        past.setting = replace(past.setting, carried=carried)
+
+
+def _touch_speed(way: Array | None) -> float:
+    """Return the speed in the last 0.1 s before a touch [1/s]; 0: it was not seen to come."""
+    if way is None or way.shape[1] < 2:
+        return 0.0
+    times, compressions, _ = way
+    near = times >= times[-1] - 0.1
+    if np.ptp(times[near]) <= 0.0:
+        return 0.0
+    return float(np.polyfit(times[near] - times[-1], compressions[near], 1)[0])
