@@ -84,7 +84,7 @@ def test_a_spring_pressed_deep_has_its_stiffness_by_the_law_too(config: Path) ->
     found = [one.apparent_stiffness for one in summaries_of(outputs)]
     assert len(found) == 2
     for one in found:
-        assert one is not None and one.sd < 0.2 * SPRING
+        assert one is not None and one.sd < 0.1 * SPRING
         assert abs(one.value - SPRING) < 4.0 * one.sd
 
 

@@ -20,6 +20,8 @@ from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxatio
 _PLACES = 16
 #: Part of the elapsed time, and of the largest strain, from which on they are [1].
 _FROM_TIME, _FROM_STRAIN = 0.03, 0.1
+#: The loaded part of the characteristic is above this part of the largest strain [1].
+_LOADED = 0.7
 
 
 def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) -> LawError:
@@ -46,8 +48,7 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
     curve, _ = splines(strains, model.last_knot, characteristic.stop - characteristic.start)
     off = curve @ mean[characteristic]
     off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T
-    # Where it is loaded: above this part of the largest strain.
-    loaded = strains >= 0.7 * strain
+    loaded = strains >= _LOADED * strain
     return LawError(
         *_root_mean_square(bend, bend_covariance),
         *_root_mean_square(off, off_covariance),
