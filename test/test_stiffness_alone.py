@@ -80,7 +80,7 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
 
 
 def test_a_spring_pressed_deep_has_its_stiffness_by_the_law_too(config: Path) -> None:
-    outputs = of_columns(read_parameter_file(config).as_dict(), *pressed(count=2))[1]
+    outputs = of_columns(read_parameter_file(config).as_dict(), *pressed(4.0, count=2))[1]
     found = [one.apparent_stiffness for one in summaries_of(outputs)]
     assert len(found) == 2
     for one in found:
