@@ -18,7 +18,7 @@ _LONGEST = 1.0
 _MOST_CELLS = 12
 
 
-class Approach:
+class ApproachMotion:
     """The motion before the first block.
 
     Parameters

@@ -83,6 +83,11 @@ class Errors:
         """Stress per compression of the surface [Pa], (m,)."""
         return self.rows[1]
 
+    @property
+    def drift(self) -> Array:
+        """Variances that the stress's walk gains beside its roughness [Pa^2], (m,)."""
+        return self.rows[3]
+
 
 class ErrorModel:
     """The error processes of one press.

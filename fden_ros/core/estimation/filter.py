@@ -34,8 +34,6 @@ from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.law import MAX_EXPONENT
 
-#: Row of the errors that the drift of the stress gains.
-_DRIFT = 3
 #: The linear model may lack this part of the stress [1]: with tissue of the law it is below 0.08,
 #: and with a prior that excluded the tissue above 0.3 where Gn was 22 for 9.
 _MOST_LACKING = 0.1
@@ -147,11 +145,12 @@ class PressFilter:
         scales = self._scales.roughness, self._scales.motion
         # What was given out stays as it was.
         self.x, self.P = self.x.copy(), self.P.copy()
-        log_likelihood, rows = 0.0, np.ascontiguousarray(errors.rows.T)
+        log_likelihood = 0.0
         for k in range(points.stresses.size):
             self._lacking = abs(reach.lacking(k, self.mean))
-            rows[k, _DRIFT] += self._newly_lacking(self._lacking * float(found.stress[k]))
+            errors.drift[k] += self._newly_lacking(self._lacking * float(found.stress[k]))
             one = slice(k, k + 1)
+            own = np.ascontiguousarray(errors.rows[:, one])
             block = loops.Followed(
                 points.stresses[one],
                 found.stress[one],
@@ -159,7 +158,7 @@ class PressFilter:
                 self._free,
                 found.jacobian[one],
             )
-            update = Update(*loops.follow(block, rows[k][:, None], *scales, self.x, self.P))
+            update = Update(*loops.follow(block, own, *scales, self.x, self.P))
             log_likelihood += update.log_likelihood
         return update._replace(log_likelihood=log_likelihood)
 

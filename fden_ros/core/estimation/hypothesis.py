@@ -14,7 +14,6 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
-from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.proposals.plateau import Plateau
@@ -263,16 +262,6 @@ class Hypothesis:
         for unknown in self.solved.maybe_zero:
             found = [part for one in found for part in with_held(one, unknown)]
         return tuple(one for one in found if one.weight)
-
-    @property
-    def motion(self) -> tuple[PressModel, tuple[Component, ...]] | None:
-        """The model of a small motion and its state; None: there is no solution.
-
-        Where the relaxation ends it is that of a spring beside a Maxwell element, not the law's.
-        """
-        if self.plateau is not None and self.plateau.probability > MISMATCH:
-            return self.plateau.model, (self.plateau.component,)
-        return (self.solved.model, self.tissue_now) if self.solved is not None else None
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
+from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, MISMATCH, Hypothesis
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -74,17 +75,8 @@ def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate |
     seen = press.shows_relaxation or press.setting.carried is not None
     unseen = 0.0 if seen else (_UNSEEN * config.uncertainty.characteristic_sd) ** 2
     motions = tuple(
-        SmallMotion(
-            model,
-            own,
-            one.setting.by_origin(model.size),
-            weight,
-            one.past.shift,
-            unseen=unseen,
-        )
-        for weight, one in weighed
-        if one.motion is not None
-        for model, own in (one.motion,)
+        replace(_small_motion(one, tissue), weight=weight, unseen=unseen)
+        for (weight, one), tissue in zip(weighed, tissues, strict=True)
     )
     own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
     whole_state = moments(own_tissue)
@@ -115,6 +107,18 @@ def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate |
         small_motions=motions,
         delay=press.setting.delay(*whole_state) if press.setting.is_late else None,
     )
+
+
+def _small_motion(one: Hypothesis, tissue: tuple[Component, ...]) -> SmallMotion:
+    """Return what a hypothesis makes of a small motion; `tissue`: its components by now.
+
+    Where the relaxation ends that is what a spring beside a Maxwell element makes of it.
+    """
+    assert one.solved is not None
+    model, components = one.solved.model, tissue
+    if one.plateau is not None and one.plateau.probability > MISMATCH:
+        model, components = one.plateau.model, (one.plateau.component,)
+    return SmallMotion(model, components, one.setting.by_origin(model.size), shift=one.past.shift)
 
 
 def _of_law(component: Component, one: Hypothesis) -> Component:

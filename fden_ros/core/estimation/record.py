@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.approach import Approach
+from fden_ros.core.estimation.approach import ApproachMotion
 from fden_ros.core.estimation.block import (
     LINE_TOLERANCE,
     SAME_TIME,
@@ -178,7 +178,7 @@ class Record:
         delay: float = 0.0,
     ) -> None:
         self.noise_sd, self._delay = noise_sd, delay
-        self._approach = Approach(reach, is_at_rest=is_at_rest)
+        self._approach = ApproachMotion(reach, is_at_rest=is_at_rest)
         self._ahead: list[Cell] = []  # the motion since the newest sample
         self._cells: list[Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest

@@ -99,5 +99,5 @@ class Schedule:
         if delays is None or not self.is_delay_open(best):
             return False
         (_, before), (_, now) = delays
-        # A long delay is told anew where its standard deviation has halved.
+        # A long delay is solved anew where its standard deviation has halved.
         return now < 0.5 * before

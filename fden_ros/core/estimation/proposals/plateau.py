@@ -105,63 +105,121 @@ def plateau_of(
     at_once : bool
         Only whether the relaxation is over at once: a ramp hardly shows another.
     """
-    elapsed = float(points.times[-1] - points.times[0])
-    start = solution.maximum.state.copy()
-    start[posterior.model.kernel] = 0.0
-    first = solution.best_scales._replace(kernel=_least_kernel(posterior))
+    law = yield from _of_law(points, solution, posterior, made)
+    if law is None:
+        return _no_plateau(solution, posterior)
+    rates = _rates(points, at_once=at_once)
+    rivals = yield from _rivals(points, solution, posterior, made, law.straight, rates)
+    if not rivals:
+        return None if posterior.limit.is_reached else _no_plateau(solution, posterior)
+    best = max(rivals, key=lambda one: one.log_evidence)
+    # A rate that was not tried has none: it can only be more.
+    total = sum(math.exp(one.log_evidence - best.log_evidence) for one in rivals)
+    gain = best.log_evidence + math.log(total / len(rates)) - law.log_evidence
+    if gain < 0.0 and posterior.limit.is_reached:
+        return None
+    # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
+    misfit = min(float(np.mean(one.residuals**2)) for one in (solution, best.solution))
+    component = Component(1.0, best.solution.mean, best.solution.covariance)
+    return Plateau(gain / max(misfit, 1.0), best.model, component)
+
+
+def _no_plateau(solution: Solution, posterior: Posterior) -> Plateau:
+    """Return that there is none, with the law's model and posterior."""
+    component = Component(1.0, solution.mean, solution.covariance)
+    return Plateau(-math.inf, posterior.model, component)
+
+
+class _Law(NamedTuple):
+    """The law, on the rig that is held."""
+
+    straight: Solution  #: without errors of its kernel
+    log_evidence: float  #: the larger of with and without
+
+
+class _Rival(NamedTuple):
+    """A plateau, of one rate."""
+
+    log_evidence: float
+    model: PressModel
+    solution: Solution
+
+
+def _of_law(
+    points: Points,
+    solution: Solution,
+    posterior: Posterior,
+    made: Callable[[type[PressModel]], Posterior],
+) -> Parts[_Law | None]:
+    """Return what the law is worth; None: it has no solution."""
+    start = _without_errors(solution, posterior)
+    scales = solution.best_scales._replace(kernel=_least_kernel(posterior))
     straight = _straight(_held(made(PressModel), start))
     straight.limit = posterior.limit
-    law = yield from _solution(straight, points, start, first)
-    likeliest = Plateau(
-        -math.inf, posterior.model, Component(1.0, solution.mean, solution.covariance)
-    )
+    law = yield from _solution(straight, points, start, scales)
     if law is None:
-        return likeliest
+        return None
     # Or with the errors of its kernel: on beef no law without them explains a hold.
     bent = _held(made(PressModel), solution.maximum.state)
     bent.limit = posterior.limit
     whole = yield from _solution(bent, points, solution.maximum.state, solution.best_scales)
+    evidence = law.log_evidence
+    if whole is not None:
+        errors = law.maximum.errors
+        evidence = max(evidence, evidence_under(bent, points, whole, errors, bent.grid))
+    return _Law(law, evidence)
+
+
+def _rates(points: Points, *, at_once: bool) -> list[int]:
+    """Return the places of the rates that a record may show."""
+    elapsed = float(points.times[-1] - points.times[0])
     wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * BLOCK_TIME < _FASTEST))
-    if at_once:
-        wanted = wanted[-_AT_ONCE:]
-    errors = law.maximum.errors
+    found: list[int] = (wanted[-_AT_ONCE:] if at_once else wanted).tolist()
+    return found
+
+
+def _rivals(
+    points: Points,
+    solution: Solution,
+    posterior: Posterior,
+    made: Callable[[type[PressModel]], Posterior],
+    law: Solution,
+    rates: list[int],
+) -> Parts[list[_Rival]]:
+    """Return the rivals that have a solution, weighed under the errors of the law."""
+    at, scales = _without_errors(solution, posterior), law.best_scales
+    order = float(at[ORDER])
     # The stress after the time seen is about the same.
-    now = float(relaxation_weights(float(start[ORDER]))[:-2] @ np.exp(-RATES * elapsed))
-    at, scales = start.copy(), law.best_scales
+    elapsed = float(points.times[-1] - points.times[0])
+    now = float(relaxation_weights(order)[:-2] @ np.exp(-RATES * elapsed))
+    order_of_law = posterior.model.order(at)
     at[ORDER] = _PART
     at[LOG_G] += math.log(max(now, 1e-9))
+    found: list[_Rival] = []
     evidences: dict[int, float] = {}
-    rival_solution = solution
-    for rate in _coarse_to_fine(wanted.tolist(), evidences):
+    for rate in _coarse_to_fine(rates, evidences):
         rival = _straight(_held(made(_Maxwell), at))
         rival.limit = posterior.limit
         assert isinstance(rival.model, _Maxwell)
-        rival.model.rate, rival.model.order_of_law = rate, posterior.model.order(start)
+        rival.model.rate, rival.model.order_of_law = rate, order_of_law
         evidences[rate] = -math.inf
-        found = yield from _solution(rival, points, at, scales)
-        if found is not None:
-            evidences[rate] = evidence_under(rival, points, found, errors, rival.grid)
+        solved = yield from _solution(rival, points, at, scales)
+        if solved is not None:
+            evidences[rate] = evidence_under(rival, points, solved, law.maximum.errors, rival.grid)
             yield cost_of(points, rival.grid)
-            if evidences[rate] > likeliest.log_odds:
-                own = Component(1.0, found.mean, found.covariance)
-                likeliest, rival_solution = Plateau(evidences[rate], rival.model, own), found
-            at, scales = found.maximum.state, found.best_scales
+            if math.isfinite(evidences[rate]):
+                found.append(_Rival(evidences[rate], rival.model, solved))
+            at, scales = solved.maximum.state, solved.best_scales
         if posterior.limit.is_reached:
             break
-    best = likeliest.log_odds
-    if not math.isfinite(best):
-        return None if posterior.limit.is_reached else likeliest
-    # A rate that was not tried has none: it can only be more.
-    gain = best + math.log(sum(math.exp(e - best) for e in evidences.values()) / wanted.size)
-    of_law = law.log_evidence
-    if whole is not None:
-        of_law = max(of_law, evidence_under(bent, points, whole, errors, bent.grid))
-    gain -= of_law
-    if gain < 0.0 and posterior.limit.is_reached:
-        return None
-    # Noise that is larger or slower than stated, as hum is, makes all evidence too sharp.
-    misfit = min(float(np.mean(one.residuals**2)) for one in (solution, rival_solution))
-    return likeliest._replace(log_odds=gain / max(misfit, 1.0))
+    return found
+
+
+def _without_errors(solution: Solution, posterior: Posterior) -> Array:
+    """Return the state of a solution without the errors of the kernel."""
+    state = solution.maximum.state.copy()
+    state[posterior.model.kernel] = 0.0
+    return state
 
 
 def _coarse_to_fine(rates: list[int], evidences: Mapping[int, float]) -> Iterator[int]:
