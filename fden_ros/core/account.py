@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is told of one contact: its flags, its largest values, its states and its summary."""
+"""What is published of one contact: its flags, largest values, states and summary."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Common:
 
 
 class Account:
-    """What is told of one contact, from the touch on."""
+    """What is published of one contact, from the touch on."""
 
     def __init__(self, contact_id: int, onset: Onset, site: Site, common: Common) -> None:
         config = common.config

@@ -225,8 +225,8 @@ MIN_CHUNKS = 5
 #: noise may come out so small that noise looks like a contact.
 _MIN_AIR_SAMPLES = 48
 _ENOUGH_CHUNKS = 12
-#: A slow contact is told within 1 s [ns] of its beginning, which chunks of the newest second may
-#: hold: they do not count.
+#: A slow contact is detected within 1 s [ns] of its beginning. Chunks of the newest second may
+#: hold that: they do not count.
 SLOW_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
 _AIR_EVERY = 8

@@ -28,7 +28,7 @@ def imagined_onset(
     deviations: tuple[float, float],
     threshold: float,
 ) -> tuple[Onset, bool]:
-    """Return what a touch shows, and whether it is told from the air.
+    """Return the onset of a touch, and whether its evidence is that of a contact.
 
     Parameters
     ----------

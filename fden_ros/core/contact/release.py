@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""When the probe leaves: by the force, as a contact was told by it, or by its way."""
+"""When the probe leaves: by the force that detected the contact, or by its displacement."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ReleaseDetector:
         """Begin a contact.
 
         `bias` is that of the force [N], `surface` where the probe touched [m], `clear` what a
-        single chunk in contact exceeds [N]; by `excess` the contact was told.
+        single chunk in contact exceeds [N]; `excess` is that by which the contact was detected.
         """
         self._bias, self._surface, self._deepest = bias, surface, surface
         self._clear = max(clear, excess.threshold)
