@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import ast
+import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -303,6 +307,30 @@ def test_the_offered_deadline_follows_the_period_of_the_estimate(period, deadlin
         assert offered("estimate") == pytest.approx(deadline)
         # Nobody knows when a probe oscillates.
         assert offered("complex_modulus") > 1e6
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may raise a priority everywhere")
+@pytest.mark.parametrize("nice", [-5, 0])
+def test_all_threads_have_the_priority_that_was_asked_for(nice):
+    with Bench() as bench, identifier({"autostart": True, "nice": nice}) as node:
+        bench.wait_until_connected()
+        threads = [int(one.name) for one in Path(f"/proc/{node.pid}/task").iterdir()]
+        found = {os.getpriority(os.PRIO_PROCESS, one) for one in threads}
+    assert len(threads) > 1 and found == {nice}
+    assert "not permitted" not in node.output
+
+
+def test_a_priority_that_is_not_permitted_is_said_with_the_page_that_tells_how():
+    program = (
+        "import os, resource\n"
+        "resource.setrlimit(resource.RLIMIT_NICE, (0, 0))\n"
+        "if os.geteuid() == 0: os.setuid(65534)\n"
+        "from fden_ros.nodes.priority import raise_priority\n"
+        "print([raise_priority(nice) for nice in (0, -10)])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    nothing, refused = ast.literal_eval(done.stdout)
+    assert nothing == "" and "nice -10 is not permitted" in refused and "docs/robot.md" in refused
 
 
 # The end

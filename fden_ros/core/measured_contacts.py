@@ -33,15 +33,14 @@ class MeasuredContacts:
         self._compliance_free = contact.compliance_free
         self._is_continuous = config.is_continuous
         self._meter = StiffnessMeter(
-            max(contact.force_noise, contact.noise_floor),
-            config.block_duration,
-            config.geometry.length,
+            max(contact.force_noise, contact.noise_floor), config.geometry.length
         )
         #: That of motion outside of any contact, where it was deepest: in the air, or where no
         #: touch was seen.
         self.unseen = NOT_MEASURED
         self._found: dict[int, BothWays] = {}
         self._was_in_contact = False
+        self._kept: tuple[int, BothWays] | None = None  # what was kept last, and of what contact
 
     @property
     def newest(self) -> BothWays:
@@ -72,19 +71,20 @@ class MeasuredContacts:
         elif self._was_in_contact:
             # In the air there is none.
             self._meter.forget()
-        else:
+        elif self.newest is not NOT_MEASURED:
             self.unseen = _deepest(self.unseen, self.newest)
         self._was_in_contact = in_contact
 
     def _keep(self, contact_id: int) -> None:
-        found = self._found
+        found, newest = self._found, self.newest
+        if self._kept is not None and self._kept[0] == contact_id and self._kept[1] is newest:
+            return
+        self._kept = contact_id, newest
         if contact_id not in found:
             found[contact_id] = NOT_MEASURED
             if len(found) > _CONTACTS_KEPT:
                 del found[min(found)]
-        kept, newest = found[contact_id], self.newest
-        if newest is kept:
-            return
+        kept = found[contact_id]
         found[contact_id] = newest if self._is_continuous else _deepest(kept, newest)
 
 

@@ -59,6 +59,9 @@ _REST = 8.0
 #: has changed by this part of what it had before [1]: as tissue relaxes, the last millimetre of a
 #: controller that creeps there looks softer, by 20 to 40 % on silicone, with 0.17 of the force.
 _LEAST_OF_LAST = 0.25
+#: A slope is computed anew where the run has grown by this part of the last window, or where
+#: there was none, of the run: eight pieces make a window.
+_GROWN = 0.125
 #: Samples over which the displacement's noise is a running mean.
 _NOISE_SAMPLES = 64
 #: Standard deviation of white noise over the mean magnitude of its third differences.
@@ -159,6 +162,8 @@ class _Run:
         self.least_change = least_change
         self.newest_ns = stamp_ns
         self.width = self.duration = self.noise = 0.0
+        #: At which a slope was computed last, and at which it is to be anew [m].
+        self.measured_width = self.due_width = 0.0
         self.open = _Open(0.0, stamp_ns)
         self._is_first = True
         self._levels: list[deque[_Piece]] = [deque()]
@@ -214,24 +219,19 @@ class StiffnessMeter:
     ----------
     noise : float
         Standard deviation of the force's noise that is stated, or the least that is believed [N].
-    period : float
-        Slopes are computed once in this time [s].
     length : float
         Of the probe or the tissue [m].
     """
 
-    def __init__(self, noise: float, period: float, length: float = math.inf) -> None:
+    def __init__(self, noise: float, length: float = math.inf) -> None:
         self._noise = noise
         self._least_piece = min(_LEAST_PIECE, _LEAST_PIECE_PART * length)
-        self._period_ns = round(period * NANOSECONDS)
         self.forget()
 
     def forget(self) -> None:
         """Forget all samples."""
         self.newest = NOT_MEASURED
         self._run: _Run | None = None
-        self._is_due = False
-        self._computed_ns = 0
         self._last: deque[float] = deque(maxlen=4)
         self._roughness = 0.0
         #: Noise in the last run [N]: a window may be too short to show how the robot shakes.
@@ -257,15 +257,12 @@ class StiffnessMeter:
             is_new = self._finish_run()
             self._run = self._begun(-run.sign, displacement, stamp_ns)
             return is_new
-        self._is_due |= run.add(stamp_ns, displacement, force)
+        has_grown = run.add(stamp_ns, displacement, force)
         if run.rests(stamp_ns):
             is_new = self._finish_run()
             self._run = self._begun(run.sign, displacement, stamp_ns)
             return is_new
-        if not self._is_due or stamp_ns - self._computed_ns < self._period_ns:
-            return False
-        self._computed_ns = stamp_ns
-        return self._measure(run)
+        return has_grown and run.width >= run.due_width and self._measure(run)
 
     def _begun(self, sign: float, displacement: float, stamp_ns: int) -> _Run:
         length = max(self._least_piece, _PIECE_DEVIATIONS * self._roughness)
@@ -285,7 +282,7 @@ class StiffnessMeter:
         run, self._run = self._run, None
         if run is None:
             return False
-        is_new = self._is_due and self._measure(run)
+        is_new = run.width > run.measured_width and self._measure(run)
         if run.noise:
             self._seen = run.noise
             least = max(run.least_change, _LEAST_OF_LAST * _change(np.array(run.pieces())))
@@ -293,8 +290,9 @@ class StiffnessMeter:
         return is_new
 
     def _measure(self, run: _Run) -> bool:
-        self._is_due = False
         found = _slope(run, max(self._noise, self._seen))
+        run.measured_width = run.width
+        run.due_width = run.width + _GROWN * (run.width if found is None else found.width)
         if found is None:
             return False
         way = "loading" if run.sign > 0.0 else "unloading"

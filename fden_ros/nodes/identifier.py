@@ -36,6 +36,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Taken
 from fden_ros.nodes.diagnostics import Diagnostics
+from fden_ros.nodes.priority import raise_priority
 from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
 from fden_ros.nodes.session import Session
@@ -288,7 +289,7 @@ def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=f"{parameter.description} [{parameter.unit}]",
         additional_constraints="; ".join(filter(None, more)),
-        read_only=parameter.name == "autostart",
+        read_only=parameter.name in ("autostart", "nice"),
     )
     low, high = parameter.minimum, parameter.maximum
     if isinstance(parameter.default, float):
@@ -313,6 +314,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _start(node: Identifier) -> bool:
+    if problem := raise_priority(node.get_parameter("nice").value):
+        node.get_logger().info(problem)
     is_done = node.start()
     # What is there by now stays: the collector need not look through it again and again.
     gc.collect()

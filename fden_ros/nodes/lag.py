@@ -67,6 +67,6 @@ class Lags:
             return ""
         return (
             f"{TOO_SLOW}: {self.late} of {len(self.lags)} estimates were late, up to "
-            f"{self.most:.2f} s behind their samples; give the node a core of its own, or set "
-            "estimate.period to twice what it is"
+            f"{self.most:.2f} s behind their samples; give the node a core or priority (nice), or "
+            "set estimate.period to twice what it is"
         )

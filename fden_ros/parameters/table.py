@@ -239,6 +239,13 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
         60.0,
     ),
     Parameter(
+        "nice",
+        -10,
+        "Nice value that the process asks for: below 0 it goes before ordinary processes.",
+        minimum=-20,
+        maximum=0,
+    ),
+    Parameter(
         "hardware_id",
         DEFAULT_HARDWARE_ID,
         "What /diagnostics says it is about, such as the serial number of the force sensor.",

@@ -49,6 +49,8 @@ class Pasts:
     @property
     def weighed(self) -> list[tuple[float, Past]]:
         """Those with their probabilities before the present press."""
+        if len(self.all) == 1:
+            return [(1.0, self.all[0])]
         total = float(logsumexp([past.log_odds for past in self.all]))
         return [(math.exp(past.log_odds - total), past) for past in self.all]
 
