@@ -214,6 +214,24 @@ def test_a_press_that_one_sample_does_not_show_is_found_and_ends(seed):
     assert detector.drifts == 0
 
 
+@pytest.mark.parametrize("has_held", [False, True])
+def test_a_pull_at_the_cable_ends_as_soon_after_a_hold_in_which_all_relaxed(has_held):
+    rng = np.random.default_rng(3)
+    seconds = np.arange(0.0, 13.0, 2e-3)
+    press = [0.0, 1.0, 1.0, 0.0] if has_held else [0.0] * 4
+    depth = np.interp(seconds, [3.0, 3.5, 5.5, 6.0], press)
+    # Then the force rises for 0.2 s while the probe goes on into the air, far deeper.
+    way = 2e-3 * (depth - 1.0) + 1e-2 * np.clip(seconds - 9.0, 0.0, 4.0)
+    pull = np.interp(seconds, [10.0, 10.05, 10.15, 10.2], [0.0, 1.0, 1.0, 0.0])
+    force = 2.0 * depth * np.exp(-5.0 * np.clip(seconds - 3.5, 0.0, 2.0)) + pull
+    force += 0.01 * rng.standard_normal(seconds.size)
+    ended = [
+        ns for ns, event in events_of(made(force, way, 500.0))[1] if isinstance(event, Release)
+    ]
+    assert len(ended) == 1 + has_held
+    assert abs(ended[-1] - START_NS - 10200 * MS) < 150 * MS
+
+
 @pytest.mark.parametrize("rate_hz", [125.0, 250.0, 500.0, 1000.0])
 def test_a_brief_press_of_two_and_a_half_deviations_is_found_once(rate_hz):
     # 0.2 s; of 40 each none is missed. At 60 Hz 6 are, at 30 Hz 28.

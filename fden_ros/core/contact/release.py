@@ -30,7 +30,6 @@ class ReleaseDetector:
 
     def __init__(self, samples: deque[Pair]) -> None:
         self._samples = samples
-        self._has_held = False
         self.threshold = 0.0  #: force of a sample that is not pressing [N]
         self.begin(0.0, 0.0, 0.0, Excess(0.0, 0.0, 1))
 
@@ -47,6 +46,7 @@ class ReleaseDetector:
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._newest: deque[Chunk] = deque()
         self._behind_chunks = 0
+        self._has_held = False
         #: The probe has left with a force that is drift of the sensor: there is no tissue.
         self.is_behind = False
 
@@ -84,6 +84,7 @@ class ReleaseDetector:
         """
         least = self._deepest - _HELD * (self._deepest - self._surface)
         if pair.displacement <= least:
+            self._has_held = False
             return False
         self._has_held |= self._samples[len(self._samples) // 2].displacement > least
         return self._has_held
