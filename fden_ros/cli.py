@@ -99,7 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given = sys.argv[1:] if arguments is None else arguments
         if given and given[0] in _RETIRED:
             parser.error(f"there is no fden {given[0]} any more: use {_RETIRED[given[0]]}")
-        args = parser.parse_args(given)
+        args, unknown = parser.parse_known_args(given)
+        if unknown:
+            args.parser.error(f"unrecognized arguments: {shlex.join(unknown)}")
         try:
             return _run(args)
         except InputError as error:

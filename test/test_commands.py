@@ -65,6 +65,17 @@ def test_an_unknown_option_is_one_line_that_names_the_help(name, capsys):
     assert "error: " in line and line.endswith(" --help")
 
 
+@pytest.mark.parametrize("words", [["replay", "a.mcap"], ["benchmark", "exact"], ["doctor"]])
+def test_an_unknown_option_names_the_help_of_its_own_command(words, capsys):
+    with pytest.raises(SystemExit):
+        main([*words, "--nonsense"])
+    command = " ".join(word for word in words if "." not in word)
+    unknown = "unrecognized arguments: --nonsense"
+    assert (
+        capsys.readouterr().err == f"fden {command}: error: {unknown}; see fden {command} --help\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("bounds", "good", "bad", "words"),
     [

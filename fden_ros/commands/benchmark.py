@@ -46,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         one.benchmark = name
+        one.set_defaults(parser=one)
         words = "less than a minute or two; goals may stay undecided"
         one.add_argument("--quick", action="store_true", help=words)
         add_json(one)
