@@ -221,6 +221,16 @@ def test_several_sensible_topics_are_listed_in_one_line(
 # The bag of results
 
 
+def test_a_bag_of_results_is_no_recording_and_none_of_its_numbers_is_proposed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "results"
+    replayed(capsys, POSE, "--config", POSE / "identifier.yaml", "-o", out)
+    line = error_line(capsys, 1, "replay", out)
+    assert "no topic can carry the force" in line
+    assert "fden_msgs are what an identifier makes of a recording: replay that" in line
+
+
 def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

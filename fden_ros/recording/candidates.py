@@ -22,7 +22,7 @@ from fden_ros.errors import Hint, InputError
 from fden_ros.recording.fields import decoder_of, field_names
 from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import BagReader, Topic
-from fden_ros.recording.topics import WORDS
+from fden_ros.recording.topics import RESULTS, WORDS
 
 #: Messages of a topic that are looked at, spread over the bag: enough for a range and a likeness.
 _SAMPLES = 1000
@@ -38,6 +38,13 @@ _CLOCK = 0.9999
 _STIFFNESS = 10.0
 #: What cannot be a measurement of a press, whatever its values.
 _SKIPPED = {"header", "stamp", "layout", "orientation", "rotation"}
+#: Types without a number of their own: of many frames, or of bytes that are no numbers.
+_PACKED = (
+    "tf2_msgs/msg/TFMessage",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/PointCloud2",
+)
 
 
 @dataclass(frozen=True)
@@ -74,8 +81,12 @@ class NumericField:
 
 
 def numeric_fields(reader: BagReader) -> list[NumericField]:
-    """Return the numbers in the messages of a bag, by topic and in the order of their fields."""
-    topics = {topic.name: topic for topic in reader.topics if topic.message_count}
+    """Return the measured numbers of a bag, by topic and in the order of their fields."""
+    topics = {
+        topic.name: topic
+        for topic in reader.topics
+        if topic.message_count and not topic.type_name.startswith(RESULTS)
+    }
     decoders = {name: _decoder(topic) for name, topic in topics.items()}
     counts: defaultdict[str, int] = defaultdict(int)
     found: defaultdict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
@@ -124,7 +135,7 @@ def hint_of(
 
 
 def _decoder(topic: Topic) -> Callable[[bytes], Any] | None:
-    if topic.type_name == "tf2_msgs/msg/TFMessage":
+    if topic.type_name in _PACKED:
         return None
     try:
         return decoder_of(topic)

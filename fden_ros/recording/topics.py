@@ -22,6 +22,10 @@ WORDS = {
 }
 
 
+#: The package of an identifier's outputs: nothing measured is in them.
+RESULTS = "fden_msgs/"
+
+
 class NoTopicError(InputError):
     """No topic carries a quantity by its type alone: its field has to be named."""
 
@@ -74,6 +78,8 @@ def find_topic(
         hint += f", and the number in it with --{stream}-field"
     if stream == "displacement" and not chosen and any(t.type_name == TRANSFORMS for t in present):
         hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
+    if not chosen and any(t.type_name.startswith(RESULTS) for t in present):
+        hint = f"fden_msgs are what an identifier makes of a recording: replay that, or {hint}"
     kind = InputError if chosen else NoTopicError
     raise kind(f"{where}: {problem} the {stream}: {listed}; {hint}")
 
