@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -316,6 +318,19 @@ def test_what_holds_an_unknown_leaves_it_no_variance() -> None:
     assert not node.covariance[3].any() and node.mean[3] == state[3]
 
 
+@contextlib.contextmanager
+def _proposed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let the files of a folder be proposals too."""
+    monkeypatch.setattr(proposals, "__path__", [*proposals.__path__, str(folder)])
+    proposals.functions.cache_clear()
+    try:
+        yield
+    finally:
+        proposals.functions.cache_clear()
+        for file in folder.iterdir():
+            sys.modules.pop(f"{proposals.__name__}.{file.stem}", None)
+
+
 def test_a_new_hypothesis_is_one_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "twice.py").write_text(
         "from fden_ros.core.estimation.maxima import Proposed\n"
@@ -323,14 +338,9 @@ def test_a_new_hypothesis_is_one_new_file(tmp_path: Path, monkeypatch: pytest.Mo
         "    yield 0\n"
         "    return Proposed(((maxima.log_evidence[0], maxima.best),))\n"
     )
-    monkeypatch.setattr(proposals, "__path__", [*proposals.__path__, str(tmp_path)])
-    proposals.functions.cache_clear()
     estimator = estimator_of()
-    try:
-        for _ in press(estimator, tissue_of(), motion(0.1)):
-            pass
-    finally:
-        proposals.functions.cache_clear()
+    with _proposed(tmp_path, monkeypatch):
+        list(press(estimator, tissue_of(), motion(0.1)))
     assert estimator.press is not None and estimator.press.solved is not None
     solutions = estimator.press.solved.solutions
     added = [one.mean is solutions.best.mean for one in solutions.held]
@@ -474,3 +484,27 @@ def test_the_rig_is_taught_by_all_hypotheses_that_are_alive() -> None:
     low, high = friction(1e-3), friction(1.0 - 1e-3)
     assert high - low == pytest.approx(0.5 * 0.005, rel=0.01)
     assert friction(0.5) == pytest.approx(0.5 * (low + high), rel=1e-6)
+
+
+@pytest.mark.parametrize(("gain", "is_told"), [(3.5, True), (2.5, False)])
+def test_a_new_law_is_one_new_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gain: float, is_told: bool
+) -> None:
+    (tmp_path / "trial.py").write_text(
+        "def rival(question, law):\n"
+        "    yield 0\n"
+        f"    evidence, model = law.log_evidence + {gain}, question.posterior.model\n"
+        "    return law.against('trial', evidence, model, law.straight)\n"
+    )
+    estimator = estimator_of()
+    with _proposed(tmp_path, monkeypatch):
+        *_, last = press(estimator, tissue_of(), motion(0.1))
+    assert estimator.press is not None and estimator.press.solved is not None
+    rivals = estimator.press.solved.rivals
+    assert rivals is not None and rivals.likeliest is not None
+    assert (rivals.likeliest.name, rivals.likeliest.log_odds) == ("trial", pytest.approx(gain))
+    # Before the data each of the two is as likely as the other: e^3 is 0.95 after them.
+    assert last.plateau_probability == pytest.approx(1.0 / (1.0 + math.exp(-gain)), abs=5e-3)
+    assert estimator.is_mismatch is is_told
+    (motion_of_it,) = last.small_motions
+    assert (motion_of_it.components[0].mean is rivals.likeliest.component.mean) is is_told

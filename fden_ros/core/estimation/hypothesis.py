@@ -16,15 +16,15 @@ from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.proposals.plateau import Plateau
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.rivals import Rival, Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
 LEAST_WEIGHT = 0.01
-#: Probability of a relaxation that ends beyond which it is said [1].
+#: Probability of another law beyond which it is said [1].
 MISMATCH = 0.95
 
 
@@ -38,7 +38,7 @@ class Past:
     deepest: float = 0.0  #: largest compression of earlier presses [1]
     changes: int = 0  #: of the tissue, in earlier presses
     sample_count: int = 0
-    plateau_probability: float = math.nan  #: of a relaxation that ends; NaN: not known
+    mismatch_probability: float = math.nan  #: of another law; NaN: not known
     memory: StressMoments = field(default_factory=StressMoments)
     #: Logarithm of the odds that the tissue is another, by mean and covariance of what the press
     #: tells of (ln G, ln Gn, alpha); None: it is the one that was touched before.
@@ -71,7 +71,7 @@ class Hypothesis:
     ) -> None:
         self.past, self.setting, self.events = past, setting, events
         self.solved: Solved | None = None
-        self.plateau: Plateau | None = None  #: as it was asked for last
+        self.rivals: Rivals | None = None  #: as they were asked for last
         self.misses, self.log_weight = 0, -math.inf
         self._filters: list[PressFilter] = []
         # Log evidence of each solution, with the likelihood of what came since.
@@ -82,6 +82,12 @@ class Hypothesis:
     def is_solved(self) -> bool:
         """Whether its newest solution was found, and wants no further step."""
         return self.solved is not None and self.solved.best.is_solved and not self.misses
+
+    @property
+    def other_law(self) -> Rival | None:
+        """The likeliest other law, where the tissue has not the law; None: it has."""
+        rivals = self.rivals
+        return rivals.likeliest if rivals is not None and rivals.probability > MISMATCH else None
 
     @property
     def change_count(self) -> int:
@@ -150,7 +156,8 @@ class Hypothesis:
             Of all of it, for what was known before the record.
         """
         self.solved, self.misses = solved, 0
-        self.plateau = solved.plateau or self.plateau
+        if solved.rivals is not None:
+            self.rivals = solved.rivals
         log_evidence += self._log_prior(solved)
         found = solved.solutions
         logs = np.array(found.log_evidence + found.held_log_evidence)

@@ -109,19 +109,19 @@ class PosteriorEstimator(Estimator):
     def is_mismatch(self) -> bool:
         """Whether the data contradict the law.
 
-        A law that is said to be exact: the residuals; else a relaxation that ends is likelier.
+        A law that is said to be exact: the residuals; else another law is likelier.
         """
         if not self._best.setting.is_bent:
             return self._solved is not None and self._solved.is_contradicted
-        return self._plateau_probability > MISMATCH
+        return self._mismatch_probability > MISMATCH
 
     @property
-    def _plateau_probability(self) -> float:
-        """Of a relaxation that ends, by the pasts that know it [1]; NaN: none does."""
+    def _mismatch_probability(self) -> float:
+        """Of another law, by the pasts that know it [1]; NaN: none does."""
         known = [
-            (weight, past.plateau_probability)
+            (weight, past.mismatch_probability)
             for weight, past in self._weighed_pasts()
-            if not math.isnan(past.plateau_probability)
+            if not math.isnan(past.mismatch_probability)
         ]
         total = sum(weight for weight, _ in known)
         return sum(weight * odds for weight, odds in known) / total if total else math.nan
@@ -241,8 +241,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.plateau is not None:
-                one.past.plateau_probability = one.plateau.probability
+            if one.rivals is not None:
+                one.past.mismatch_probability = one.rivals.probability
 
     def _carry(self) -> None:
         """Make the posterior of the press the prior of the next, for each past that it leaves."""
@@ -259,7 +259,7 @@ class PosteriorEstimator(Estimator):
         """Return the present estimate."""
         estimate = None
         if self.press is not None:
-            estimate = estimate_of(self.press, self._plateau_probability)
+            estimate = estimate_of(self.press, self._mismatch_probability)
         if estimate is None:
             estimate = prior_estimate(self._best.setting, self._best.shift)
         return estimate._replace(sample_count=self._best.sample_count)

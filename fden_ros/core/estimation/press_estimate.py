@@ -14,7 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, MISMATCH, Hypothesis
+from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -33,14 +33,14 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 _UNSEEN = 0.5
 
 
-def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate | None:
+def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
     """Return the estimate of a press: the moments of its mixture; None: it has told nothing yet.
 
     Parameters
     ----------
     press : PressPosterior
-    plateau_probability : float
-        Of a relaxation that ends [1]; NaN: not known.
+    mismatch_probability : float
+        Of another law [1]; NaN: not known.
     """
     weighed = press.weighed
     if not weighed:
@@ -94,7 +94,7 @@ def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate |
         model_discrepancy=sum(s.characteristic * p for s, p in solved.best.scales.items()),
         mean_dwell_time=likeliest.mean_dwell_time,
         law_error=solved.law_error,
-        plateau_probability=plateau_probability,
+        plateau_probability=mismatch_probability,
         softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
@@ -112,12 +112,13 @@ def estimate_of(press: PressPosterior, plateau_probability: float) -> Estimate |
 def _small_motion(one: Hypothesis, tissue: tuple[Component, ...]) -> SmallMotion:
     """Return what a hypothesis makes of a small motion; `tissue`: its components by now.
 
-    Where the relaxation ends that is what a spring beside a Maxwell element makes of it.
+    Where another law is likelier, that is what the likeliest makes of it.
     """
     assert one.solved is not None
     model, components = one.solved.model, tissue
-    if one.plateau is not None and one.plateau.probability > MISMATCH:
-        model, components = one.plateau.model, (one.plateau.component,)
+    other = one.other_law
+    if other is not None:
+        model, components = other.model, (other.component,)
     return SmallMotion(model, components, one.setting.by_origin(model.size), shift=one.past.shift)
 
 

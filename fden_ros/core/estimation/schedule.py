@@ -12,8 +12,8 @@ from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 #: It is solved anew when the time since the touch, or the largest compression, has grown by these
 #: factors [1], some 20 times a contact; between two the filter is off by half a deviation.
 _TIME_RATIO, _DEPTH_RATIO = 1.35, 1.18
-#: It is asked whether the relaxation ends where the press is longer than at the last time by this
-#: factor [1].
+#: It is asked whether another law is likelier where the press is longer than at the last time by
+#: this factor [1].
 _ASKED_RATIO = 1.5
 #: Blocks before the first solution [1]; it is sought from all starts each time that their number
 #: has doubled.
@@ -67,8 +67,9 @@ class Schedule:
     def care(self, least: Care, elapsed: float, best: Hypothesis, *, has_slowed: bool) -> Care:
         """Return the care of a solution that begins now; `has_slowed`: the motion of its record.
 
-        Whether the relaxation ends is asked once the motion has slowed, or the press is over, and
-        again where the press is longer by a half; on a ramp, only whether it is over at once.
+        Whether another law is likelier is asked once the motion has slowed, or the press is over,
+        and again where the press is longer by a half; on a ramp, only whether the relaxation is
+        over at once.
         """
         self.has_slowed |= has_slowed
         care = Care.EXACT if self.is_over else least

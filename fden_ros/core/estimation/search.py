@@ -27,8 +27,8 @@ from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.proposals.plateau import Plateau, plateau_of
 from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.rivals import Question, Rivals, rivals_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
@@ -37,7 +37,7 @@ from fden_ros.core.estimation.whiteness import contradicts
 _ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
 _MOST_EVALUATIONS = 200
-#: And the question whether the relaxation ends [1].
+#: And the question whether another law is likelier [1].
 _MOST_OF_RIVALS = 400
 
 
@@ -49,8 +49,8 @@ class Solved:
     solutions: Solutions
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
-    #: A relaxation that ends; None: it was not asked for, or the press cannot tell.
-    plateau: Plateau | None = None
+    #: Other laws; None: they were not asked for, or the press cannot tell.
+    rivals: Rivals | None = None
 
     @property
     def model(self) -> PressModel:
@@ -97,7 +97,7 @@ class Care(enum.IntEnum):
     TRACKED = enum.auto()  #: from the last maxima
     FROM_STARTS = enum.auto()  #: and from all starts
     ASKED_AT_ONCE = enum.auto()  #: and where the law is bent, whether the tissue relaxes at once
-    ASKED = enum.auto()  #: and it is asked whether the relaxation ends
+    ASKED = enum.auto()  #: and it is asked whether another law is likelier
     EXACT = enum.auto()  #: maxima are found to CONVERGED
     LAST = enum.auto()  #: the press is over
 
@@ -135,13 +135,13 @@ class Search:
         limit = self.posterior.limit = self._limit(_MOST_EVALUATIONS)
         found = yield from limit.counted(self._solutions())
         limit = self.posterior.limit = self._limit(_MOST_OF_RIVALS)
-        plateau = yield from limit.counted(self._plateau(found.best))
+        rivals = yield from limit.counted(self._rivals(found.best))
         return Solved(
             self.posterior,
             found,
             self._law_error(found.best),
             contradicts(found.best.residuals),
-            plateau,
+            rivals,
         )
 
     def _limit(self, evaluations: float) -> Limit:
@@ -162,16 +162,16 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _plateau(self, best: Solution) -> Parts[Plateau | None]:
-        """Return a relaxation that ends, against the law; None: it is not asked for."""
+    def _rivals(self, best: Solution) -> Parts[Rivals | None]:
+        """Return other laws, against the law; None: they are not asked for."""
         at_once = self.care is Care.ASKED_AT_ONCE
         is_asked = at_once or self.care in (Care.ASKED, Care.LAST)
         if not is_asked or not self.setting.can_tell_mismatch:
             return None
         if at_once and best.best_scales.kernel < self.setting.config.uncertainty.characteristic_sd:
             return None  # the law needs no other relaxation
-        found = plateau_of(self.points, best, self.posterior, self.made, at_once=at_once)
-        return (yield from found)
+        question = Question(self.points, best, self.posterior, self.made, at_once)
+        return (yield from rivals_of(question))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)
