@@ -44,6 +44,8 @@ SURFACE_TIME = 0.25
 _CORNER = 0.2
 #: Shortest time that a step of the motion counts for [s].
 _SHORTEST = 1e-4
+#: Places of the processes of :class:`Errors`.
+_NOISE, _GAIN, _, DRIFT, _MOTION = range(5)
 
 
 @dataclass(frozen=True)
@@ -76,17 +78,25 @@ class Errors:
     @property
     def noise(self) -> Array:
         """Variances of the blocks [Pa^2], (m,)."""
-        return self.rows[0]
+        return self.rows[_NOISE]
 
     @property
     def gain(self) -> Array:
         """Stress per compression of the surface [Pa], (m,)."""
-        return self.rows[1]
+        return self.rows[_GAIN]
 
     @property
     def drift(self) -> Array:
         """Variances that the stress's walk gains beside its roughness [Pa^2], (m,)."""
-        return self.rows[3]
+        return self.rows[DRIFT]
+
+    def under(self, other: Errors) -> Errors:
+        """Return them with the variances of another stiffness, as stress: only the gain is own."""
+        rows = other.rows.copy()
+        rows[_GAIN] = self.gain
+        moved = np.divide(other.gain, self.gain, out=np.ones_like(self.gain), where=self.gain != 0)
+        rows[_MOTION] *= moved**2
+        return Errors(rows, self.loading)
 
 
 class ErrorModel:

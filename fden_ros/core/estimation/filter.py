@@ -26,7 +26,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.error_model import DRIFT, ErrorModel, Errors
 from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
@@ -40,12 +40,13 @@ _MOST_LACKING = 0.1
 
 
 class Update(NamedTuple):
-    """How a block compared with its prediction."""
+    """How a block compared with its prediction, and the errors of all blocks of the step."""
 
     prediction: float  #: [Pa]
     innovation: float  #: observed less predicted [Pa]
     variance: float  #: S, of the innovation [Pa^2]
     log_likelihood: float  #: of all blocks of the step [1]
+    errors: Errors
 
 
 class PressFilter:
@@ -130,8 +131,10 @@ class PressFilter:
         """Mean time since the present elastic response was built up [s]."""
         return self._loading.age
 
-    def step(self, points: Points) -> Update:
+    def step(self, points: Points, under: Errors | None = None) -> Update:
         """Take blocks, one at least; return how the last of them compared with its prediction.
+
+        `under`: the errors of the filter that it is weighed against; None: its own.
 
         Raises
         ------
@@ -141,6 +144,8 @@ class PressFilter:
         found = self._model.evaluate(points, self._about, self._response)
         errors = self._error_model.errors(points, self._about, found, self._loading)
         self._loading = errors.loading
+        if under is not None:
+            errors = errors.under(under)
         reach = LinearRange(self._model, points, self._about, self._loading.age)
         scales = self._scales.roughness, self._scales.motion
         # What was given out stays as it was.
@@ -148,9 +153,10 @@ class PressFilter:
         log_likelihood = 0.0
         for k in range(points.stresses.size):
             self._lacking = abs(reach.lacking(k, self.mean))
-            errors.drift[k] += self._newly_lacking(self._lacking * float(found.stress[k]))
+            lacking = self._newly_lacking(self._lacking * float(found.stress[k]))
             one = slice(k, k + 1)
             own = np.ascontiguousarray(errors.rows[:, one])
+            own[DRIFT] += lacking
             block = loops.Followed(
                 points.stresses[one],
                 found.stress[one],
@@ -158,7 +164,7 @@ class PressFilter:
                 self._free,
                 found.jacobian[one],
             )
-            update = Update(*loops.follow(block, own, *scales, self.x, self.P))
+            update = Update(*loops.follow(block, own, *scales, self.x, self.P), errors)
             log_likelihood += update.log_likelihood
         return update._replace(log_likelihood=log_likelihood)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
@@ -176,21 +177,23 @@ class Hypothesis:
         self._logs, largest = logs, float(logs.max())
         self.log_weight = largest + math.log(float(np.exp(logs - largest).sum()))
 
-    def step(self, points: Points) -> Update | None:
+    def step(self, points: Points, under: Errors | None = None) -> Update | None:
         """Let all filters take blocks; return how the likeliest predicted them; None: none can.
 
-        Each weight is multiplied by the likelihood.
+        Each weight is multiplied by the likelihood, under the same errors; None: its likeliest's.
         """
         if not self._filters:
             return None
         likeliest, found = int(np.argmax(self._logs)), None
         own, logs = self.points(points), self._logs.copy()
-        for k, one in enumerate(self._filters):
+        for k in np.argsort(-logs, kind="stable").tolist():
+            one = self._filters[k]
             try:
-                update = one.step(own)
+                update = one.step(own, under)
             except (FloatingPointError, OverflowError):
                 logs[k] = -math.inf
                 continue
+            under = under or update.errors
             # Where it is not linear its likelihood is none.
             logs[k] += update.log_likelihood if one.is_near else -math.inf
             if k == likeliest:

@@ -19,12 +19,14 @@ from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
 from fden_ros.core.estimation.estimator import Innovation
+from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.intake import Intake
 from fden_ros.core.estimation.mixture import weights_of
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
 from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.whiteness import NO_CHANCE
@@ -187,7 +189,7 @@ class PressPosterior:
         best = self.best
         points = self.intake.record.points_after(blocks, self._last)
         self._last = float(points.times[-1])
-        found = {id(one): one.step(points) for one in self.hypotheses}[id(best)]
+        found = _stepped(self.hypotheses, points)[self.hypotheses.index(best)]
         self.weigh()
         elastic = best.elastic_response(compression)
         if found is None or elastic is None:
@@ -270,9 +272,8 @@ class PressPosterior:
             return
         points = self.intake.record.points_after(since, end)
         self._last = float(points.times[-1])
-        for one in solved:
-            if one in self.hypotheses and one.step(points) is None:
-                self._schedule.ask()
+        if None in _stepped([one for one in solved if one in self.hypotheses], points):
+            self._schedule.ask()
 
     # Changes of the tissue
 
@@ -305,3 +306,15 @@ class PressPosterior:
         if changed.solved is not None:
             self._catch_up([changed], found.end, found.since)
         self.weigh()
+
+
+def _stepped(hypotheses: Sequence[Hypothesis], points: Points) -> list[Update | None]:
+    """Let hypotheses take blocks, all under the errors of the likeliest; return what they return.
+
+    Each under its own, in a hold the softer tissue would win: the motion of its surface, which is
+    stated and may be none, makes less stress.
+    """
+    best = max(hypotheses, key=lambda one: one.log_weight)
+    first = best.step(points)
+    under = first.errors if first is not None else None
+    return [first if one is best else one.step(points, under) for one in hypotheses]
