@@ -95,11 +95,6 @@ def _by_largest_source(summary: ContactSummary, config: PipelineConfig) -> str:
     return remedy(case)
 
 
-def next_press(summary: ContactSummary, config: PipelineConfig) -> Plan | None:
-    """Return the press that a contact asks for; None: its sensors are not known."""
-    return ended(_next_press(summary, config))
-
-
 def _next_press(summary: ContactSummary, config: PipelineConfig) -> Parts[Plan | None]:
     estimate, budget = summary.estimate, summary.budget
     seconds = (summary.end_ns - summary.start_ns) / NANOSECONDS

@@ -14,9 +14,6 @@ import numpy as np
 from fden_ros.recording.reader import RawMessage
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
-#: What a stamp may be taken from, the default first.
-STAMPS = ("header", "recording")
-
 #: Messages at the beginning of a topic whose stamps are looked at.
 LOOKED_AT = 200
 #: Two topics of one clock are recorded with delays that differ by less than this [s].

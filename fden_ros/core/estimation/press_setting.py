@@ -127,11 +127,6 @@ class PressSetting:
         row = self.by_origin(len(covariance))
         return math.sqrt(max(float(row @ covariance @ row), 0.0))
 
-    def origin_covariance(self, covariance: Array) -> Array:
-        """Return the covariances of the strain origin with all of a state, (n,)."""
-        result: Array = self.by_origin(len(covariance)) @ covariance
-        return result
-
     def by_origin(self, size: int) -> Array:
         """Return by what a state makes the strain origin, (size,).
 
