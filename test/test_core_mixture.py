@@ -28,6 +28,7 @@ from fden_ros.core.estimation import (
     PosteriorEstimator,
     Reservations,
     ended,
+    log_stiffness,
     proposals,
     reserved,
 )
@@ -67,9 +68,14 @@ def press(
 ) -> Iterator[Estimate]:
     """Press a tissue of which the stress is `factor` as large; give the estimate of each block."""
     noise = np.random.default_rng(seed).normal(0.0, NOISE, strains.size)
+    stresses = [factor * tissue.press(float(strain)) for strain in strains] + noise
+    yield from fed(estimator, strains, stresses)
+
+
+def fed(estimator: PosteriorEstimator, strains: Array, stresses: Array) -> Iterator[Estimate]:
+    """Feed stresses [Pa] in blocks; give the estimate of each."""
     step = 1.0 / RATE
     estimator.begin_contact(1.0, 0.0)
-    stresses = [factor * tissue.press(float(strain)) for strain in strains] + noise
     for begin in range(0, strains.size - PER_BLOCK + 1, PER_BLOCK):
         part = slice(begin, begin + PER_BLOCK)
         for k in range(begin, begin + PER_BLOCK):
@@ -508,3 +514,56 @@ def test_a_new_law_is_one_new_file(
     assert estimator.is_mismatch is is_told
     (motion_of_it,) = last.small_motions
     assert (motion_of_it.components[0].mean is rivals.likeliest.component.mean) is is_told
+
+
+def _drawn(seed: int) -> tuple[np.random.Generator, Array, float]:
+    """Return a generator, the strains of a press, and G [Pa s^alpha]."""
+    random = np.random.default_rng([7, seed])
+    deepest, hold = random.uniform([0.1, 0.3], [0.25, 1.5]).tolist()
+    return random, motion(deepest, hold), math.exp(random.uniform(math.log(500), math.log(8000)))
+
+
+def _after_hunt_and_crossley(seed: int) -> str:
+    """Return as what such tissue is told; its N/m is right where it is told as what it is."""
+    random, strains, stiffness = _drawn(seed)
+    # Where the power is 1 a dashpot explains the ramp as well.
+    power, damping = random.uniform([1.2, 0.1], [2.0, 1.0]).tolist()
+    speeds = RATE * np.diff(strains, prepend=0.0)
+    stresses = 4.0 * stiffness * strains**power * (1.0 + damping * speeds)
+    estimator = estimator_of()
+    *_, last = fed(estimator, strains, stresses + random.normal(0.0, NOISE, strains.size))
+    assert estimator.press is not None
+    rival = estimator.press.best.other_law
+    if not estimator.is_mismatch or rival is None:
+        return ""
+    # At rest, whatever the damping: the slope of the power.
+    depth = float(strains[-1])
+    expected = 4.0 * stiffness * power * depth ** (power - 1.0)
+    expected /= GEOMETRY.stress_per_force * GEOMETRY.length
+    found = log_stiffness(last.small_motions, depth, float(stresses[-1]), 0.1)
+    assert found is not None and math.sqrt(found[1]) < 0.1
+    assert abs(found[0] - math.log(expected)) < 4.0 * math.sqrt(found[1])
+    return rival.name
+
+
+def test_tissue_after_hunt_and_crossley_is_told_as_such() -> None:
+    assert [_after_hunt_and_crossley(seed) for seed in range(3)] == 3 * ["Hunt-Crossley"]
+
+
+@pytest.mark.statistics
+def test_tissue_after_hunt_and_crossley_is_mostly_told_as_such() -> None:
+    told = [_after_hunt_and_crossley(seed) for seed in range(20)]
+    assert told.count("Hunt-Crossley") >= 18
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.statistics) for seed in range(2, 60))]
+)
+def test_tissue_of_the_law_is_not_told_as_another(seed: int) -> None:
+    random, strains, stiffness = _drawn(seed)
+    order, nonlinear = random.uniform([0.02, 4.0], [0.32, 10.0]).tolist()
+    tissue = tissue_of(FdenModel(stiffness, nonlinear, order))
+    estimator = estimator_of()
+    for _ in press(estimator, tissue, strains, seed=seed):
+        assert not estimator.is_mismatch
+    assert estimator.press is not None and estimator.press.best.rivals is not None

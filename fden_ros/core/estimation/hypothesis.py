@@ -15,6 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, weights_of, with_held
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.record import Points
@@ -278,12 +279,12 @@ class Hypothesis:
         """The components with ln G of the tissue that is under the probe now."""
         if self.solved is None:
             return ()
-        unknowns = self.solved.model.unknowns
-        places = [k for k, unknown in enumerate(unknowns) if unknown.since is not None]
-        return tuple(_after_changes(one, places) for one in self.components)
+        return tuple(after_changes(one, self.solved.model) for one in self.components)
 
 
-def _after_changes(one: Component, places: list[int]) -> Component:
+def after_changes(one: Component, model: PressModel) -> Component:
+    """Return a component of a model with ln G of the tissue that is under the probe now."""
+    places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
     if not places:
         return one
     # A change leaves a twentieth at least.

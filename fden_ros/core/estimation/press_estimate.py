@@ -14,7 +14,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
+from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis, after_changes
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
@@ -118,7 +118,7 @@ def _small_motion(one: Hypothesis, tissue: tuple[Component, ...]) -> SmallMotion
     model, components = one.solved.model, tissue
     other = one.other_law
     if other is not None:
-        model, components = other.model, (other.component,)
+        model, components = other.model, (after_changes(other.component, other.model),)
     return SmallMotion(model, components, one.setting.by_origin(model.size), shift=one.past.shift)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,14 @@ from fden_ros.core.estimation.unknowns import (
     Unknown,
     order_of,
 )
-from fden_ros.core.law import Geometry, relaxation_after, relaxation_slopes, relaxation_weights
+from fden_ros.core.law import (
+    MAX_EXPONENT,
+    Geometry,
+    phi,
+    relaxation_after,
+    relaxation_slopes,
+    relaxation_weights,
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,17 @@ class Evaluation:
     elastic: Array
     slope: Array
     state: ResponseState  #: from which the response goes on
+
+
+class Curve(NamedTuple):
+    """A stress-strain curve and its derivatives, without its error."""
+
+    values: Array  #: [Pa s^alpha]
+    slopes: Array  #: by the strain
+    bends: Array  #: second derivatives by the strain
+    #: Values and slopes, by ln Gn or what stands in its place.
+    values_by_log_gn: Array
+    slopes_by_log_gn: Array
 
 
 class PressModel:
@@ -122,6 +140,17 @@ class PressModel:
         Each of shape (n, RATE_COUNT + 1), of orders (n,).
         """
         return relaxation_after(orders, time)
+
+    def curve(self, strains: Array, states: Array) -> Curve:
+        """Return the stress-strain curve of states (modes, n) at strains (modes,)."""
+        linear, nonlinear = np.exp(states[..., LOG_G]), np.exp(states[..., LOG_GN])
+        reach = nonlinear * strains
+        excess = np.maximum(reach - 1.0, 0.0)
+        is_beyond = excess > 0.0
+        slopes = linear * np.exp(np.minimum(excess, MAX_EXPONENT))
+        values = phi(strains, linear, nonlinear)
+        bends = slopes * nonlinear * is_beyond
+        return Curve(values, slopes, bends, values * excess, slopes * reach * is_beyond)
 
     def evaluate(
         self, points: Points, state: Array, going_on: ResponseState | None = None

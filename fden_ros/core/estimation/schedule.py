@@ -36,7 +36,7 @@ class Schedule:
     def __init__(self) -> None:
         self.blocks, self.is_over = 0, False
         self._blocks_at_starts = 0
-        self._elapsed = self._compression = self._asked_at = 0.0
+        self._elapsed = self._compression = self._asked_at = self._asking_at = 0.0
         self._shows_delay = False
         self.has_slowed = False
 
@@ -62,6 +62,7 @@ class Schedule:
     def ended(self, elapsed: float, compression: float, *, shows_delay: bool) -> None:
         """Take note of a solution, and whether its record shows a long delay."""
         self._elapsed, self._compression = elapsed, compression
+        self._asked_at = self._asking_at
         self._shows_delay = shows_delay
 
     def care(self, least: Care, elapsed: float, best: Hypothesis, *, has_slowed: bool) -> Care:
@@ -80,8 +81,9 @@ class Schedule:
         if can_tell and not shows_relaxation and care is Care.FROM_STARTS:
             care = Care.ASKED_AT_ONCE
         elif can_tell and shows_relaxation and elapsed >= _ASKED_RATIO * self._asked_at:
-            self._asked_at = elapsed
             care = Care.LAST if self.is_over else max(care, Care.ASKED)
+        # After a change it is not asked; what has not ended by the end of the press is asked anew.
+        self._asking_at = elapsed if care in (Care.ASKED, Care.LAST) else self._asked_at
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self.blocks
         return care

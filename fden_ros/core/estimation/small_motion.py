@@ -34,7 +34,6 @@ from fden_ros.core.estimation.unknowns import (
     ORDER,
     local_splines,
 )
-from fden_ros.core.law import MAX_EXPONENT, phi
 
 #: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
 #: of this share [1].
@@ -155,12 +154,7 @@ def _of_characteristic(
     """
     knots = model.characteristic
     strains, per_compression, of_geometry = model.geometry.strains(compressions)
-    linear, nonlinear = np.exp(states[:, LOG_G]), np.exp(states[:, LOG_GN])
-    reach = nonlinear * strains
-    excess = np.maximum(reach - 1.0, 0.0)
-    is_beyond = excess > 0.0
-    slope = linear * np.exp(np.minimum(excess, MAX_EXPONENT))
-    value = phi(strains, linear, nonlinear)
+    value, slope, curvature, value_by_log_gn, slope_by_log_gn = model.curve(strains, states)
     gradient = np.zeros_like(states)
     gradient[:, LOG_G] = 1.0
     bend = tilt = turn = np.zeros_like(strains)
@@ -171,9 +165,8 @@ def _of_characteristic(
         bend, tilt, turn = ((each * states[at]).sum(axis=1) for each in found[1:])
         own = slope + value * tilt
         gradient[at] = found.values + (value / own)[:, None] * found.slopes
-    by_log_gn = slope * reach * is_beyond + value * excess * tilt
-    gradient[:, LOG_GN] = by_log_gn / own
-    by_strain = tilt + (slope * (nonlinear * is_beyond + tilt) + value * turn) / own
+    gradient[:, LOG_GN] = (slope_by_log_gn + value_by_log_gn * tilt) / own
+    by_strain = tilt + (curvature + slope * tilt + value * turn) / own
     values = np.log(own * per_compression) + bend
     by_compression = by_strain * per_compression + of_geometry
     return gradient, by_compression, values
