@@ -408,6 +408,15 @@ def test_the_way_that_was_seen_begins_the_record_in_a_few_blocks() -> None:
     assert points.times.size <= 20 + 24
 
 
+@pytest.mark.parametrize("hold", [0.0, 0.5])
+def test_a_sphere_that_sinks_in_at_one_rate_of_strain_has_not_slowed(hold: float) -> None:
+    """A ramp shows no relaxation: of a sphere it is the strain's, the compression to the 1.5."""
+    record, sphere = Record(), Sphere(radius=0.01)
+    for time in np.arange(0.0, 1.0 + hold, 0.002).tolist():
+        record.add(time, sphere.compression(0.25 * min(time, 1.0)), 0.0, is_observed=True)
+    assert record.has_slowed(sphere.exponent) is (hold > 0.0)
+
+
 def test_blocks_that_follow_one_line_have_it_without_the_noise_of_each() -> None:
     press = pressed(5)
     points = points_of(press.jittered(2.5e-4))

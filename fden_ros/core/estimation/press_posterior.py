@@ -226,7 +226,7 @@ class PressPosterior:
         record, points = intake.record, intake.record.points()
         if points.stresses.size < LEAST_BLOCKS or not self._schedule.can_begin:
             return
-        has_slowed = record.has_slowed
+        has_slowed = record.has_slowed(self.setting.geometry.exponent)
         care = self._schedule.care(care, elapsed, self.best, has_slowed=has_slowed)
         epoch = Epoch(
             tuple(

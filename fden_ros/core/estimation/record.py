@@ -204,18 +204,18 @@ class Record:
         """Blocks so far."""
         return len(self._cells) + (self._open is not None)
 
-    @property
-    def has_slowed(self) -> bool:
-        """Whether the motion has slowed to half, longer ago than the delay may be.
+    def has_slowed(self, exponent: float) -> bool:
+        """Whether the strain's rate has fallen to half, longer ago than the delay may be.
 
-        A ramp alone shows no delay: of one a live state was 9 deviations off.
+        A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
+        compression to the power `exponent`.
         """
         if len(self._rows) <= _BLOCKS_OF_SPEED:
             return False
         times = np.array([row.middle for row in self._rows])
-        compressions = np.array([row.compression for row in self._rows])
+        strains = np.maximum([row.compression for row in self._rows], 0.0) ** exponent
         n = _BLOCKS_OF_SPEED
-        speeds = (compressions[n:] - compressions[:-n]) / (times[n:] - times[:-n])
+        speeds = (strains[n:] - strains[:-n]) / (times[n:] - times[:-n])
         is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
         is_seen = times[n:] - times[0] > TOUCH_TIME
         slow = np.flatnonzero(is_slow & is_seen)
