@@ -34,12 +34,18 @@ from fden_ros.core.estimation import (
 )
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
-from fden_ros.core.estimation.mixture import MaybeZero, weights_of, with_held
+from fden_ros.core.estimation.mixture import (
+    MaybeZero,
+    collapsed,
+    moments,
+    weights_of,
+    with_held,
+)
 from fden_ros.core.estimation.posterior import NEARLY_FOUND
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
-from fden_ros.core.estimation.search import Search
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN
+from fden_ros.core.estimation.search import Care, Search
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, change_since
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import Column, FdenModel, Tissue
 
@@ -402,6 +408,104 @@ def test_the_odds_of_an_unknown_that_may_be_zero_are_those_of_the_integrals() ->
     assert held.mean[0] == 0.0 == held.covariance[0, 0]
     gain = MaybeZero(0, 1.0, 0.0).log_gain(after)
     assert gain == pytest.approx(math.log(0.5 * (by_zero + by_any) / by_any), rel=1e-9)
+
+
+# What is carried from press to press
+
+
+def test_a_few_gaussians_have_the_moments_of_many_and_the_near_ones_are_one() -> None:
+    places = np.array([[0.0, 0.0], [0.1, 0.0], [5.0, 5.0], [5.1, 5.0], [-5.0, 5.0]])
+    shares = [0.4, 0.1, 0.2, 0.1, 0.2]
+    many = [Component(w, at, np.eye(2)) for w, at in zip(shares, places, strict=True)]
+    for most, alike, left in ((3, 0.0, 3), (5, 0.01, 3), (5, 0.0, 5), (2, 0.0, 2), (3, 9.0, 1)):
+        few = collapsed(many, most, alike, [0, 1])
+        assert len(few) == left
+        for got, wanted in zip(moments(few), moments(many), strict=True):
+            np.testing.assert_allclose(got, wanted, atol=1e-12)
+    weights = sorted(one.weight for one in collapsed(many, 3, 0.0, [0, 1]))
+    assert weights == pytest.approx([0.2, 0.3, 0.5])
+
+
+def test_what_is_held_is_compared_by_what_is_not() -> None:
+    flat = [Component(0.5, np.array([x, 1.0]), np.diag([1.0, 0.0])) for x in (-3.0, 3.0)]
+    assert len(collapsed(flat, 2, 0.1, [0, 1])) == 2
+    assert len(collapsed([one._replace(mean=np.zeros(2)) for one in flat], 2, 0.1, [0, 1])) == 1
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.9])
+def test_what_is_known_is_the_same_when_a_press_is_put_away(share: float) -> None:
+    """Of two hypotheses, one of them with a change of the stiffness."""
+    estimator = estimator_of()
+    list(press(estimator, tissue_of(), motion(0.15)))
+    own = estimator.press
+    assert own is not None
+    one = own.best
+    changed = one.with_event(change_since(0.7))
+    solved = changed.search(
+        own.intake.record.points(), 1.2, own.intake.deepest, own.intake.compression_sd, Care.LAST
+    )
+    changed.take_over(ended(solved.in_parts()), 0.0)
+    own.hypotheses = [one, changed]
+    for each, weight in ((one, 1.0 - share), (changed, share)):
+        each.shift_weight(math.log(weight) - each.log_weight)
+    own.weigh()
+    before = estimator.estimate()
+    estimator.put_away()
+    after = estimator.estimate()
+    np.testing.assert_allclose(after.mean, before.mean, atol=1e-9)
+    np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-9)
+
+
+@pytest.mark.parametrize(("held", "gaussians"), [(ORIGIN, 1), (LOG_GN, 2)])
+def test_a_ridge_is_carried_with_its_maximum_and_another_law_by_itself(
+    held: int, gaussians: int
+) -> None:
+    estimator = estimator_of()
+    list(press(estimator, tissue_of(), motion(0.15)))
+    own = estimator.press
+    assert own is not None and own.best.solved is not None
+    solved, best = own.best.solved, own.best.solved.best
+    apart = best.mean - 20.0 * np.sqrt(best.covariance.diagonal()) * np.eye(best.mean.size)[held]
+    beside = replace(best, mean=apart, held=held)
+    own.best.take_over(
+        replace(solved, solutions=Solutions((best,), (0.0,), (beside,), (-2.0,))), 0
+    )
+    own.hypotheses = [own.best]
+    own.weigh()
+    assert len(own.best.tissue_now) == 2
+    for got, wanted in zip(moments(own.best.modes_now), moments(own.best.tissue_now), strict=True):
+        np.testing.assert_allclose(got, wanted, atol=1e-9)
+    estimator.put_away()
+    carried = estimator._pasts.all[0].setting.carried
+    assert carried is not None and len(carried.components) == gaussians
+
+
+def of_shallow_presses(seed: int) -> list[float]:
+    """Return the log density of the truth after each of three presses to a strain of 1.2/Gn."""
+    drawn = np.random.default_rng(seed)
+    size, bend = 700.0 * math.exp(0.3 * drawn.normal()), 8.0 * math.exp(0.2 * drawn.normal())
+    truth = np.array([math.log(size), math.log(bend), 0.15])
+    estimator, tissue = estimator_of(origin_sd=0.0), tissue_of(FdenModel(size, bend, 0.15))
+    found = []
+    for k in range(3):
+        *_, last = press(estimator, tissue, motion(1.2 / bend), seed=100 * seed + k)
+        rest(estimator, tissue, 3.0)
+        logs = []
+        for one in last.components:
+            off = truth - one.mean
+            square = float(off @ np.linalg.solve(one.covariance, off))
+            volume = float(np.linalg.slogdet(one.covariance)[1])
+            logs.append(math.log(one.weight) - 0.5 * (square + volume))
+        found.append(float(np.logaddexp.reduce(logs)))
+    return found
+
+
+@pytest.mark.statistics
+def test_shallow_presses_tell_whether_the_tissue_bends_though_one_cannot() -> None:
+    """With one Gaussian carried the third tells no more than the second: 8.59 and 8.59."""
+    logs = np.mean([of_shallow_presses(seed) for seed in range(12)], axis=0)
+    assert logs[1] > 9.1
+    assert logs[2] > logs[1] + 0.3
 
 
 # Places that are pressed again

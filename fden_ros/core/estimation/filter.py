@@ -62,10 +62,13 @@ class PressFilter:
     ----------
     x, P : ndarray, shapes (n + 2,), (n + 2, n + 2)
         Mean and covariance of the unknowns, the stress's walk and the surface's.
+    held : int or None
+        Place of an unknown that the solution holds; None: it is about a maximum.
     """
 
     def __init__(self, solution: Solution, model: PressModel, error_model: ErrorModel) -> None:
         self._model, self._error_model = model, error_model
+        self.held = solution.held
         self._about = solution.maximum.state
         self._scales = solution.best_scales
         self._response = copy.deepcopy(solution.response_state)

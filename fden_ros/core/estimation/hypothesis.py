@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,14 +14,14 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
-from fden_ros.core.estimation.mixture import Component, weights_of, with_held
+from fden_ros.core.estimation.mixture import Component, merged, weights_of, with_held
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rivals import Rival, Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
@@ -96,9 +96,16 @@ class Hypothesis:
         """Changes of the tissue under the probe."""
         return sum(event.since is not None for event in self.events)
 
+    @property
+    def share(self) -> float:
+        """Its probability before the press, where its past is true [1]."""
+        carried = self.setting.carried
+        return carried.weight if carried is not None else 1.0
+
     def _log_prior(self, solved: Solved) -> float:
         """Return the logarithm of its probability before the record [1]."""
-        log_prior = self.past.log_odds - THRESHOLD * self.change_count
+        log_prior = self.past.log_odds + math.log(self.share)
+        log_prior -= THRESHOLD * self.change_count
         if self.past.other is None:
             return log_prior
         mean, covariance = solved.solutions.moments
@@ -255,31 +262,47 @@ class Hypothesis:
     @property
     def components(self) -> tuple[Component, ...]:
         """The Gaussians of its state by now, of weights that add up to 1."""
+        return tuple(part for _, parts in self._parts() for part in parts)
+
+    def _parts(self) -> list[tuple[PressFilter, list[Component]]]:
+        """Return those of each filter: where what may be 0 is, and where it is not."""
         if self.solved is None:
-            return ()
+            return []
         considered = self.solved.best.considered
         found = []
         for weight, one in zip(weights_of(self._logs).tolist(), self._filters, strict=True):
             if not weight:
                 continue
             covariance = one.covariance if considered is None else one.covariance + considered
-            found.append(Component(weight, one.mean, covariance))
-        return self._with_maybe_zero(found)
-
-    def _with_maybe_zero(self, components: Sequence[Component]) -> tuple[Component, ...]:
-        """Return components, each where unknowns that may be 0 are, and where they are not."""
-        assert self.solved is not None
-        found = list(components)
-        for unknown in self.solved.maybe_zero:
-            found = [part for one in found for part in with_held(one, unknown)]
-        return tuple(one for one in found if one.weight)
+            parts = [Component(weight, one.mean, covariance)]
+            for unknown in self.solved.maybe_zero:
+                parts = [part for whole in parts for part in with_held(whole, unknown)]
+            found.append((one, [part for part in parts if part.weight]))
+        return found
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:
         """The components with ln G of the tissue that is under the probe now."""
-        if self.solved is None:
-            return ()
-        return tuple(after_changes(one, self.solved.model) for one in self.components)
+        return tuple(self._now(part) for part in self.components)
+
+    @property
+    def modes_now(self) -> tuple[Component, ...]:
+        """Those of the tissue, where a ridge and its maximum are one Gaussian.
+
+        There is tissue between them, too, which each by itself would rule out: at the second of
+        three presses with an arm's errors ln G was 2.4 deviations off.
+        """
+        found = self._parts()
+        ridge = [part for one, parts in found if one.held == ORIGIN for part in parts]
+        others = [parts for one, parts in found if one.held != ORIGIN]
+        if ridge:
+            others.sort(key=lambda parts: sum(part.weight for part in parts))
+            others.append([merged([*ridge, *(others.pop() if others else ())])])
+        return tuple(self._now(part) for parts in others for part in parts)
+
+    def _now(self, component: Component) -> Component:
+        assert self.solved is not None
+        return after_changes(component, self.solved.model)
 
 
 def after_changes(one: Component, model: PressModel) -> Component:

@@ -17,6 +17,7 @@ static multiple-model estimator (Bar-Shalom, Li and Kirubarajan 2001, section 11
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,6 +28,8 @@ from fden_ros.core.arrays import Array
 
 #: What is less likely than the best by this logarithm is dropped [1]: one in ten thousand.
 NEGLIGIBLE = 9.0
+#: Least variance along any axis, over that of the whole [1]: what is held has none.
+_FLAT = 1e-9
 
 
 class Component(NamedTuple):
@@ -56,6 +59,64 @@ def weights_of(log_weights: Sequence[float] | Array) -> Array:
     weights = np.where(logs >= logs.max() - NEGLIGIBLE, np.exp(logs - logs.max()), 0.0)
     result: Array = weights / weights.sum()
     return result
+
+
+def normalized(components: Sequence[Component]) -> list[Component]:
+    """Return components with weights that add up to 1."""
+    total = sum(one.weight for one in components)
+    return [one._replace(weight=one.weight / total) for one in components]
+
+
+def collapsed(
+    components: Sequence[Component], most: int, alike: float, places: Sequence[int]
+) -> tuple[Component, ...]:
+    r"""Return a mixture of a few Gaussians with the same moments.
+
+    Of all pairs that is merged into one Gaussian of its moments for which the bound
+
+    .. math:: B_{ij} = \tfrac12 [(w_i + w_j) \ln|P_{ij}| - w_i \ln|P_i| - w_j \ln|P_j|]
+
+    of what the Kullback-Leibler divergence from the whole grows by is the lowest (Runnalls 2007).
+
+    Parameters
+    ----------
+    components : sequence of Component
+    most : int
+        Gaussians that are left at most.
+    alike : float
+        Pairs whose bound is below this are merged however few there are [1].
+    places : sequence of int
+        Of the unknowns by which they are compared.
+    """
+    left = list(components)
+    own = np.ix_(places, places)
+    unit = moments(left)[1][own].diagonal()
+    unit = np.sqrt(np.where(unit > 0.0, unit, 1.0))
+
+    def log_volume(one: Component) -> float:
+        scaled = one.covariance[own] / np.outer(unit, unit)
+        return float(np.log(np.maximum(np.linalg.eigvalsh(scaled), _FLAT)).sum())
+
+    while len(left) > 1:
+        pairs = list(itertools.combinations(left, 2))
+        together = [merged(pair) for pair in pairs]
+        volumes = {id(one): one.weight * log_volume(one) for one in (*left, *together)}
+        bounds = [
+            0.5 * (volumes[id(both)] - volumes[id(one)] - volumes[id(other)])
+            for (one, other), both in zip(pairs, together, strict=True)
+        ]
+        least = int(np.argmin(bounds))
+        if len(left) <= most and bounds[least] >= alike:
+            break
+        one, other = pairs[least]
+        left = [c for c in left if c is not one and c is not other] + [together[least]]
+    return tuple(left)
+
+
+def merged(components: Sequence[Component]) -> Component:
+    """Return the Gaussian that has weight, mean and covariance of some together."""
+    weight = sum(one.weight for one in components)
+    return Component(weight, *moments(normalized(components)))
 
 
 def widened(components: Sequence[Component], factor: float) -> tuple[Component, ...]:

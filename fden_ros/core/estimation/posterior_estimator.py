@@ -250,7 +250,7 @@ class PosteriorEstimator(Estimator):
         if press is None:
             return
         self._compression_sd = press.intake.compression_sd
-        weighed = press.weighed or [(1.0, one) for one in press.hypotheses]
+        weighed = press.weighed or [(one.share, one) for one in press.hypotheses]
         self._pasts.carry(weighed, press.intake.deepest)
 
     # Result

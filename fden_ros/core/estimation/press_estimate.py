@@ -179,11 +179,11 @@ def prior_estimate(setting: PressSetting, shift: float = 0.0) -> Estimate:
     mean, covariance, origin = config.prior.mean, np.diag(config.prior.deviations**2), 0.0
     motions: tuple[SmallMotion, ...] = ()
     if carried is not None and carried.is_sound:
-        mean, covariance = carried.mean[:_ORIGIN], carried.covariance[:_ORIGIN, :_ORIGIN].copy()
-        whole = Component(1.0, carried.mean, carried.covariance)
-        by_origin = setting.by_origin(whole.mean.size)
-        motions = (SmallMotion(carried.model, (whole,), by_origin, shift=shift),)
-        origin = setting.origin(carried.mean) - shift
+        state, whole = carried.moments
+        mean, covariance = state[:_ORIGIN], whole[:_ORIGIN, :_ORIGIN].copy()
+        by_origin = setting.by_origin(state.size)
+        motions = (SmallMotion(carried.model, carried.components, by_origin, shift=shift),)
+        origin = setting.origin(state) - shift
     covariance[:2, :2] += setting.config.uncertainty.thickness_sd**2
     covariance = positive(covariance)
     deviations = np.sqrt(covariance.diagonal())

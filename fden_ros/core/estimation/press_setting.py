@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals import functions
@@ -36,19 +38,37 @@ from fden_ros.core.law import Geometry
 MOST_LATE = 2.0
 
 
+def is_sound(component: Component) -> bool:
+    """Whether no variance is negative."""
+    return bool((component.covariance.diagonal() >= 0.0).all())
+
+
 @dataclass(frozen=True)
 class Carried:
-    """The posterior of the last press of a site."""
+    """The posterior of the last press of a site, or one Gaussian of it."""
 
     model: PressModel
-    #: Of its unknowns, (n,), (n, n).
-    mean: Array
-    covariance: Array
+    components: tuple[Component, ...]  #: of its unknowns, with their parts of the whole
+
+    @functools.cached_property
+    def moments(self) -> tuple[Array, Array]:
+        """Mean and covariance of all, (n,), (n, n)."""
+        return moments(self.components)
+
+    @property
+    def parts(self) -> tuple[Carried, ...]:
+        """Each of its Gaussians by itself, as the prior of one hypothesis."""
+        return tuple(replace(self, components=(one,)) for one in self.components)
+
+    @property
+    def weight(self) -> float:
+        """Its part in the whole posterior [1]."""
+        return sum(one.weight for one in self.components)
 
     @property
     def is_sound(self) -> bool:
         """Whether no variance is negative: rounding may do that to one beside huge ones."""
-        return bool((self.covariance.diagonal() >= 0.0).all())
+        return all(is_sound(one) for one in self.components)
 
 
 @dataclass(frozen=True)
@@ -242,8 +262,9 @@ def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Bel
         places += range(model.kernel.start, model.size)
         sources += range(before.kernel.start, before.size)
     mean, precision = first.mean.copy(), first.precision.copy()
-    mean[places] = carried.mean[sources]
-    covariance = carried.covariance[np.ix_(sources, sources)]
+    before_mean, before_covariance = carried.moments
+    mean[places] = before_mean[sources]
+    covariance = before_covariance[np.ix_(sources, sources)]
     scale = np.sqrt(covariance.diagonal())
     scale[scale == 0.0] = 1.0
     # So that rounding leaves the variances positive.
