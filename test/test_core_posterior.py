@@ -148,7 +148,7 @@ def solved(press: Press, uncertainty: Uncertainty = EXACT, start: float = 0.0) -
         state[0] += math.log(points.stresses.max() / highest)
         starts.append(state)
     scales = max((g.scales for g in posterior.grid), key=lambda s: (s.roughness, s.kernel))
-    return posterior.solutions(points, starts, scales)[0]
+    return ended(posterior.solutions_in_parts(points, starts, scales))[0]
 
 
 def moved(other: Solution, solution: Solution) -> float:
@@ -327,7 +327,7 @@ def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -
     state = whole.belief.mean.copy()
     state[:3] = press.truth
     scales = max((g.scales for g in whole.grid), key=lambda s: s.roughness)
-    solution = whole.solutions(points_of(before), [state], scales)[0]
+    solution = ended(whole.solutions_in_parts(points_of(before), [state], scales))[0]
     strain = float(press.strains.max())
     made = partial(posterior_with, press)
     look = ChangeLook(points_of(after), [solution], whole, made, strain)

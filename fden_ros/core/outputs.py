@@ -244,7 +244,7 @@ def order_source(estimate: Estimate | None, config: EstimatorConfig) -> OrderSou
     """Return where the alpha of an estimate comes from."""
     if estimate is None:
         return OrderSource.NONE
-    if config.fractional_order_given:
+    if not config.learns_fractional_order:
         return OrderSource.GIVEN
     is_determined = ParameterSet.FRACTIONAL_ORDER in estimate.observable
     is_learned = is_determined and not config.is_order_given

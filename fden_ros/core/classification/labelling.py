@@ -185,7 +185,7 @@ class Labeller:
             estimate.mean,
             estimate.covariance,
             config.prior,
-            order_counts=not config.fractional_order_given,
+            order_counts=config.learns_fractional_order,
         )
         if self.surroundings is not None:
             return self.surroundings.classes(site_id, position, estimate, likelihood)

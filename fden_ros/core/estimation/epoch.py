@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from scipy.special import logsumexp
 
@@ -23,41 +22,37 @@ from fden_ros.core.estimation.solution import cost_of, evidence_under
 Weighed = tuple[Solved, float] | None
 
 
-@dataclass(frozen=True)
-class Epoch:
-    """Solutions of all hypotheses, of one record."""
+def solved_together(searches: Sequence[Search]) -> Parts[list[Weighed]]:
+    """Return the solutions of all hypotheses, of one record, in parts.
 
-    searches: tuple[Search, ...]
+    Each has its log evidence, under the same errors; None: there is none.
 
-    def in_parts(self) -> Parts[list[Weighed]]:
-        """Return each solution with its log evidence, under the same errors; None: there is none.
-
-        Raises
-        ------
-        FloatingPointError
-            If there is none of any.
-        """
-        found: list[Solved | None] = []
-        for search in self.searches:
-            try:
-                found.append((yield from search.in_parts()))
-            except UNSOLVABLE:
-                found.append(None)
-        solved = [one for one in found if one is not None]
-        if not solved:
-            raise FloatingPointError("no hypothesis has a solution")
-        best = max(solved, key=lambda one: one.log_evidence)
-        result: list[Weighed] = []
-        for search, one in zip(self.searches, found, strict=True):
-            if one is None:
-                result.append(None)
-                continue
-            evidence = one.log_evidence
-            if one is not best:
-                yield cost_of(search.points, one.posterior.grid)
-                evidence += _under(search.points, one, best) - one.best.log_evidence
-            result.append((one, evidence) if math.isfinite(evidence) else None)
-        return result
+    Raises
+    ------
+    FloatingPointError
+        If there is none of any.
+    """
+    found: list[Solved | None] = []
+    for search in searches:
+        try:
+            found.append((yield from search.in_parts()))
+        except UNSOLVABLE:
+            found.append(None)
+    solved = [one for one in found if one is not None]
+    if not solved:
+        raise FloatingPointError("no hypothesis has a solution")
+    best = max(solved, key=lambda one: one.log_evidence)
+    result: list[Weighed] = []
+    for search, one in zip(searches, found, strict=True):
+        if one is None:
+            result.append(None)
+            continue
+        evidence = one.log_evidence
+        if one is not best:
+            yield cost_of(search.points, one.posterior.grid)
+            evidence += _under(search.points, one, best) - one.best.log_evidence
+        result.append((one, evidence) if math.isfinite(evidence) else None)
+    return result
 
 
 def _under(points: Points, one: Solved, best: Solved) -> float:

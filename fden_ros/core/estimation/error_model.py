@@ -45,7 +45,7 @@ _CORNER = 0.2
 #: Shortest time that a step of the motion counts for [s].
 _SHORTEST = 1e-4
 #: Places of the processes of :class:`Errors`.
-_NOISE, _GAIN, _, DRIFT, _MOTION = range(5)
+_, _GAIN, _, DRIFT, _MOTION = range(5)
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,6 @@ class Errors:
     #: gain. Shape (5, m).
     rows: Array
     loading: Loading  #: at the last block
-
-    @property
-    def noise(self) -> Array:
-        """Variances of the blocks [Pa^2], (m,)."""
-        return self.rows[_NOISE]
 
     @property
     def gain(self) -> Array:

@@ -223,15 +223,10 @@ class EstimatorConfig:
     )
 
     @property
-    def fractional_order_given(self) -> bool:
-        """Whether alpha is stated; its standard deviation counts all the same."""
-        return not self.learns_fractional_order
-
-    @property
     def is_order_given(self) -> bool:
         """Whether alpha is a setting and not learned."""
         return (
-            self.fractional_order_given
+            not self.learns_fractional_order
             or self.observation is Observation.FRACTIONAL_STRESS
             or self.prior.fractional_order_sd == 0.0
         )

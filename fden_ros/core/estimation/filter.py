@@ -71,7 +71,7 @@ class PressFilter:
         self.held = solution.held
         self._about = solution.maximum.state
         self._scales = solution.best_scales
-        self._response = copy.deepcopy(solution.response_state)
+        self._response = copy.deepcopy(solution.maximum.evaluation.state)
         self._loading = solution.maximum.errors.loading
         self._lacking = self._counted = 0.0
         n = model.size

@@ -48,12 +48,7 @@ def pooled(before: Evidence, contact: Sequence[float]) -> Evidence:
 
 def motion_share(evidence: Sequence[float]) -> float:
     """Return the share of the stated motion that counts [1]: the largest that is likely."""
-    return min(max(SMOOTH * _largest_likely(MOTION_SCALES, evidence), LEAST_SHARE), 1.0)
-
-
-def drift_share(evidence: Sequence[float]) -> float:
-    """Return the share of the stated drift that counts [1]: the largest that is likely."""
-    return _largest_likely(DRIFT_SCALES, evidence)
+    return min(max(SMOOTH * largest_likely(MOTION_SCALES, evidence), LEAST_SHARE), 1.0)
 
 
 def drift_evidence(change: float, noise_variance: float, stated_variance: float) -> Evidence:
@@ -72,7 +67,7 @@ def drift_evidence(change: float, noise_variance: float, stated_variance: float)
     return tuple(-0.5 * (change**2 / v + math.log(v)) for v in variances)
 
 
-def _largest_likely(scales: Sequence[float], evidence: Sequence[float]) -> float:
+def largest_likely(scales: Sequence[float], evidence: Sequence[float]) -> float:
     """Return the first of the scales, which fall, whose log evidence is near the largest."""
     least = max(evidence) - 2.0
     return next(s for s, value in zip(scales, evidence, strict=True) if value >= least)

@@ -228,9 +228,8 @@ def _weighed(
         # So that a solution has a longest time: no recording had a fourth maximum.
         if is_negligible or len(kept) == 3 or (is_linear and has_linear):
             continue
-        if all(_are_apart(found[k], s) for _, s in kept):
-            kept.append((float(evidence[k]), found[k]))
-            has_linear |= is_linear
+        kept.append((float(evidence[k]), found[k]))
+        has_linear |= is_linear
     return Solutions(tuple(s for _, s in kept), tuple(e for e, _ in kept))
 
 

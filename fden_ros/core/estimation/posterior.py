@@ -25,7 +25,7 @@ from fden_ros.core.estimation.maximum import (
     MaximumSearch,
 )
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
-from fden_ros.core.estimation.parts import Parts, ended
+from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
@@ -33,7 +33,7 @@ from fden_ros.core.estimation.solution import (
     Solution,
     averaged,
     cost_of,
-    evidence_at,
+    log_evidence,
 )
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
@@ -108,12 +108,6 @@ class Posterior(Density):
             found = averaged(self, points, best, grid, held)
         yield cost_of(points, grid)
         return found
-
-    def solutions(
-        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
-    ) -> list[Solution]:
-        """Return what `solutions_in_parts` does, all of it now."""
-        return ended(self.solutions_in_parts(points, starts, scales, converged))
 
     def solutions_in_parts(
         self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
@@ -232,7 +226,7 @@ class Posterior(Density):
             If the stress is not finite at the state.
         """
         best = yield from self.maximum(points, state, scales, NEARLY_FOUND, most, place, known)
-        return (yield from self.averaged(points, best, (WeighedScales(scales, 0.0),), place))
+        return (yield from self.averaged(points, best, (WeighedScales(scales),), place))
 
     def _considered(self, points: Points, found: Solution) -> Solution:
         """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
@@ -272,12 +266,12 @@ class Posterior(Density):
     def evidence_beside(self, points: Points, given: Solution, best: Solution) -> float:
         """Return the log evidence of what holds an unknown, under the errors of the best."""
         maximum = replace(given.maximum, errors=best.maximum.errors)
-        return evidence_at(self, points, maximum, given.held)
+        return log_evidence(self, points, maximum, (WeighedScales(maximum.scales),), given.held)
 
     def evidence(self, points: Points, maximum: Maximum) -> float:
         """Return the log evidence at the scales of a maximum, from the linearisation there."""
         try:
-            return evidence_at(self, points, maximum)
+            return log_evidence(self, points, maximum, (WeighedScales(maximum.scales),))
         except UNSOLVABLE:
             return -math.inf
 

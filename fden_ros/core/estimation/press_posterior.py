@@ -13,11 +13,12 @@ a change is looked for.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 from fden_ros.core.estimation.block import Block, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
-from fden_ros.core.estimation.epoch import Epoch, Weighed, keep_shares, kept, taken_over
+from fden_ros.core.estimation.epoch import Weighed, keep_shares, kept, solved_together, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
@@ -228,12 +229,10 @@ class PressPosterior:
             return
         has_slowed = record.has_slowed(self.setting.geometry.exponent)
         care = self._schedule.care(care, elapsed, self.best, has_slowed=has_slowed)
-        epoch = Epoch(
-            tuple(
-                one.search(points, elapsed, intake.deepest, intake.compression_sd, care)
-                for one in self.hypotheses
-            )
-        )
+        searches = [
+            one.search(points, elapsed, intake.deepest, intake.compression_sd, care)
+            for one in self.hypotheses
+        ]
         self._begun = _Begun(
             tuple(self.hypotheses),
             float(points.times[-1]),
@@ -241,7 +240,7 @@ class PressPosterior:
             record.max_compression,
             # Or an earlier press of the site has shown it.
             self.setting.carried is not None or has_slowed,
-            Advanced(epoch.in_parts),
+            Advanced(partial(solved_together, searches)),
             [],
         )
         self.begun_at = self._schedule.blocks

@@ -205,7 +205,7 @@ class PressSetting:
             belief,
             grid,
             has_field_prior=has_fields and self.is_bent,
-            order_sd=config.prior.fractional_order_sd if config.fractional_order_given else 0.0,
+            order_sd=0.0 if config.learns_fractional_order else config.prior.fractional_order_sd,
         )
 
     def posterior_with(

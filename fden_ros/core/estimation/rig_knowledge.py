@@ -20,10 +20,11 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.learned_scales import (
+    DRIFT_SCALES,
     NO_DRIFT_EVIDENCE,
     NO_MOTION_EVIDENCE,
     Evidence,
-    drift_share,
+    largest_likely,
     motion_share,
     pooled,
 )
@@ -64,7 +65,7 @@ class RigKnowledge:
     @property
     def drift_share(self) -> float:
         """The share of the stated drift of the force that counts [1]; above 1: it drifts more."""
-        return drift_share(self.drift)
+        return largest_likely(DRIFT_SCALES, self.drift)
 
     def drifted(self, evidence: Sequence[float]) -> RigKnowledge:
         """Return what is known after the air behind a contact has told of its drift."""

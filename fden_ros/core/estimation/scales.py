@@ -25,7 +25,7 @@ class WeighedScales(NamedTuple):
     """One place of the grid, and the logarithm of its prior probability."""
 
     scales: Scales
-    log_prior: float
+    log_prior: float = 0.0
 
 
 #: Scales of the kernel's error and of the characteristic's, over the stated one of the latter [1]:
@@ -78,7 +78,7 @@ def carried_scales(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
     unit = uncertainty.characteristic_sd
     roughness = ROUGHNESS_FACTORS if unit else (0.0,)
     return tuple(
-        WeighedScales(Scales(0.0, 0.0, rough * unit, motion), 0.0)
+        WeighedScales(Scales(0.0, 0.0, rough * unit, motion))
         for rough, motion in itertools.product(roughness, _motions(uncertainty))
     )
 

@@ -23,7 +23,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Density, Linear
 from fden_ros.core.estimation.error_model import Errors
-from fden_ros.core.estimation.loops import ResponseState, WalkState
+from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.record import Points
@@ -62,11 +62,6 @@ class Solution:
     def best_scales(self) -> Scales:
         """The likeliest scales."""
         return max(self.scales, key=lambda s: self.scales[s])
-
-    @property
-    def response_state(self) -> ResponseState:
-        """From which the response goes on."""
-        return self.maximum.evaluation.state
 
 
 class _Group(NamedTuple):
@@ -261,13 +256,6 @@ def log_evidence(
     # What is negligible counts as nothing here as there.
     likely = [g.evidence[g.evidence >= best - NEGLIGIBLE] - best for g in groups]
     return best + math.log(float(np.exp(np.concatenate(likely)).sum()))
-
-
-def evidence_at(
-    density: Density, points: Points, maximum: Maximum, held: int | None = None
-) -> float:
-    """Return the log evidence at the scales of a maximum; `held` is that of `averaged`."""
-    return log_evidence(density, points, maximum, (WeighedScales(maximum.scales, 0.0),), held)
 
 
 def evidence_under(

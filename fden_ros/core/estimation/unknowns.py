@@ -324,7 +324,7 @@ def unknowns_of(
     """
     prior, unsure = config.prior, config.uncertainty
     length, per_force = geometry.length, geometry.stress_per_force
-    order_sd = 0.0 if config.fractional_order_given else prior.fractional_order_sd
+    order_sd = prior.fractional_order_sd if config.learns_fractional_order else 0.0
     site, rig = Lifetime.SITE, Lifetime.RIG
 
     found = (
