@@ -46,9 +46,6 @@ _QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
 #: Stiffness by which a touch is held at a sample, over the stiffest of what moves it [1]: beside
 #: that of all unknowns rounding would leave no positive definite normal equations.
 _HELD = 1e4
-#: Times that a touch held at a sample is moved on [1], and how far at most, in standard deviations
-#: [1].
-_MOST_SEARCHES, _REACH = 2, 0.5
 #: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
 EVALUATION_COST = 150
 #: Largest step of ln G, ln Gn and alpha [1].
@@ -141,7 +138,7 @@ class MaximumSearch:
         metric: _Metric | None = None
         is_solved = is_at_kink = is_at_bound = False
         left = math.inf
-        tried, searches = 0, _MOST_SEARCHES if converged == CONVERGED else 0
+        tried = 0
         if known is None:
             yield self._cost
         for count in range(self._most):
@@ -159,13 +156,6 @@ class MaximumSearch:
             behind = state - at
             gain = float(free.towards @ loops.solve(normal, free.towards))
             left = gain + float(behind @ free.normal @ behind)
-            if left < converged and is_at_kink and searches:
-                searches -= 1
-                before = state
-                state = yield from self._along_kink(state, free.normal, metric)
-                if state is not before:
-                    found = self._density.evaluate(self._points, state)
-                    continue
             if left < converged:
                 is_solved = True
                 break
@@ -219,27 +209,6 @@ class MaximumSearch:
         white = model.whitened(left, metric.errors, *self._scales[2:])[:, 0]
         off = state - self._density.belief.mean
         return float(white @ white + off @ metric.precision @ off)
-
-    def _along_kink(self, state: Array, normal: Array, metric: _Metric) -> Parts[Array]:
-        """Return the best state as the touch moves, all else with it; or the state itself."""
-        touch = self._density.model.surface.touch_gradient(self._points, state)
-        along = loops.solve(normal, touch)
-        size = float(touch @ along)
-        if not size > 0.0:
-            return state
-        along /= math.sqrt(size)
-
-        def misfit(distance: float) -> float:
-            after = state + distance * along
-            after_stress = self._density.model.response(self._points, after).stress
-            return self._misfit(after, after_stress, metric)
-
-        best = 0.0
-        for reach in (_REACH, 0.2 * _REACH, 0.04 * _REACH):
-            best = min((best + reach * part for part in np.linspace(-1.0, 1.0, 9)), key=misfit)
-            yield 3 * self._points.times.size
-        lowered = misfit(0.0) - misfit(best)
-        return state + best * along if lowered > NEARLY_FOUND else state
 
     def _step(
         self, state: Array, equations: _Equations, damping: float, metric: _Metric
