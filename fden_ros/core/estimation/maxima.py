@@ -88,7 +88,6 @@ class Proposed(NamedTuple):
     held: tuple[tuple[float, Solution], ...] = ()
     #: Logarithms of what they leave of each maximum; empty: all of it.
     log_shares: tuple[float, ...] = ()
-    best: Solution | None = None  #: in place of the best maximum
 
 
 def completed(
@@ -112,14 +111,13 @@ def completed(
 
 def combined(maxima: Solutions, proposed: Sequence[Proposed]) -> Solutions:
     """Return maxima with what was proposed; the order of proposals does not matter."""
-    best, shares = maxima.best, np.zeros(len(maxima.maxima))
+    shares = np.zeros(len(maxima.maxima))
     for one in proposed:
-        best = one.best or best
         if one.log_shares:
             shares = shares + one.log_shares
     held = [pair for one in proposed for pair in one.held]
     return Solutions(
-        (best, *maxima.maxima[1:]),
+        maxima.maxima,
         tuple((np.array(maxima.log_evidence) + shares).tolist()),
         tuple(solution for _, solution in held),
         tuple(evidence for evidence, _ in held),

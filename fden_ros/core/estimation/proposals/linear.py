@@ -54,9 +54,6 @@ def propose(
         begun = linear.maximum
         known = begun.evaluation
         linear = yield from posterior.given(LOG_GN, points, begun.state, scales, known=known)
-    if best.maximum.state[LOG_GN] < boundary and linear.is_solved:
-        # A linear law does not meet ln Gn: that it wants to go on in it holds nothing up.
-        best = replace(best, maximum=replace(best.maximum, is_solved=True))
     mean = float(posterior.belief.mean[LOG_GN])
     # Whatever the others are: after an earlier press they are known together.
     width = math.sqrt(float(posterior.belief.variances()[LOG_GN]))
@@ -69,7 +66,6 @@ def propose(
     return Proposed(
         ((evidence, _cut_off(linear, mean, width, place)),),
         tuple(_log_share_beyond(one, boundary) for one in found.maxima),
-        best,
     )
 
 
