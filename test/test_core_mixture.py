@@ -41,7 +41,6 @@ from fden_ros.core.estimation.mixture import (
     weights_of,
     with_held,
 )
-from fden_ros.core.estimation.posterior import NEARLY_FOUND
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
 from fden_ros.core.estimation.search import Care, Search
@@ -232,7 +231,7 @@ def test_an_optimiser_with_many_starts_finds_no_better_maximum(seed: int) -> Non
         starts.append(start)
     strain = float(record.strains.max())
     scales = posterior.moderate_scales
-    found = ended(find_maxima(posterior, points, starts, scales, (), strain, NEARLY_FOUND)).best
+    found = ended(find_maxima(posterior, points, starts, scales, (), strain)).best
     arguments = posterior, points, found.maximum.errors, found.maximum.scales
     own = log_posterior(*arguments, found.maximum.state)
     drawn = np.random.default_rng(seed)
@@ -265,7 +264,7 @@ def maxima_of(seed: int, deepest: float) -> tuple[Any, Any, Solutions]:
     posterior, points = posterior_of(record, LAW_OFF), points_of(record)
     start = posterior.belief.mean
     scales = posterior.moderate_scales
-    found = ended(find_maxima(posterior, points, [start], scales, (), deepest, NEARLY_FOUND))
+    found = ended(find_maxima(posterior, points, [start], scales, (), deepest))
     return posterior, points, found
 
 
@@ -442,7 +441,7 @@ def test_what_is_known_is_the_same_when_a_press_is_put_away(share: float) -> Non
     one = own.best
     changed = one.with_event(change_since(0.7))
     solved = changed.search(
-        own.intake.record.points(), 1.2, own.intake.deepest, own.intake.compression_sd, Care.LAST
+        own.intake.record.points(), 1.2, own.intake.deepest, own.intake.compression_sd, Care.ASKED
     )
     changed.take_over(ended(solved.in_parts()), 0.0)
     own.hypotheses = [one, changed]

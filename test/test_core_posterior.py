@@ -31,7 +31,8 @@ from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.filter import PressFilter
 from fden_ros.core.estimation.linear_range import LinearRange
-from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
+from fden_ros.core.estimation.maximum import CONVERGED
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Record
@@ -197,7 +198,7 @@ def test_the_solution_is_the_maximum_that_an_independent_optimiser_finds(
         for begun in (start, np.zeros(start.size))
     ]
     found = min(tried, key=lambda one: one.cost)
-    assert misfit(np.zeros(start.size)) < 2.0 * found.cost + 2.0 * NEARLY_FOUND
+    assert misfit(np.zeros(start.size)) < 2.0 * found.cost + 2.0 * CONVERGED
     if uncertainty == EXACT:
         options = {"xatol": 1e-7, "fatol": 1e-10, "maxiter": 9000}
         best = minimize(misfit, 0.02 * start, method="Nelder-Mead", options=options).x

@@ -19,8 +19,8 @@ from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.maxima import Solutions, completed, find_maxima
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.posterior import NEARLY_FOUND, Posterior
 from fden_ros.core.estimation.posterior import UNSOLVABLE as UNSOLVABLE
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points, Record
@@ -171,9 +171,7 @@ class ImaginedPress:
         posterior, strain = self._posterior, self._strain
         own = _until(replace(points, stresses=stress), observed)
         scales = posterior.grid[len(posterior.grid) // 2].scales
-        maxima = yield from find_maxima(
-            posterior, own, [self._state(tissue)], scales, (), strain, NEARLY_FOUND
-        )
+        maxima = yield from find_maxima(posterior, own, [self._state(tissue)], scales, (), strain)
         return (yield from completed(posterior, own, maxima, strain))
 
     def budget(self, solutions: Solutions) -> Budget:

@@ -136,7 +136,6 @@ def find_maxima(
     scales: Scales,
     before: Sequence[tuple[Array, Solution]],
     strain: float,
-    converged: float,
 ) -> Parts[Solutions]:
     """Return the maxima that starts lead to, and those of a shorter record.
 
@@ -152,15 +151,13 @@ def find_maxima(
         would be no match for.
     strain : float
         Largest strain of the record [1].
-    converged : float
-        Maxima are found where a step would lower minus twice the log posterior by less [1].
 
     Raises
     ------
     FloatingPointError
         If the stress is not finite at any start.
     """
-    found = yield from posterior.solutions_in_parts(points, starts, scales, converged)
+    found = yield from posterior.solutions_in_parts(points, starts, scales)
     found += yield from _followed(posterior, points, before, strain)
     return (yield from _weighed(posterior, points, found, strain))
 

@@ -14,7 +14,6 @@ S, taken at the solution itself, wants no further step. So the maximum depends o
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,12 +32,10 @@ from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER
 
 #: Steps of one maximum [1], and damped tries of one step [1].
 MOST_STEPS, _MOST_TRIES = 60, 8
-#: A maximum is found where a step would lower minus twice the log posterior by less than this [1].
-CONVERGED = 1e-4
-#: It is nearly found, to a twentieth of a standard deviation, at this [1]: while the record grows,
-#: and where rounding lets no step lower it. With a fourteenth the last live state was up to 0.2
-#: off the summary.
-NEARLY_FOUND = 2.5e-3
+#: A maximum is found, to a twentieth of a standard deviation, where a step would lower minus twice
+#: the log posterior by less than this [1]. With a fourteenth the last live state was up to 0.2 off
+#: the summary.
+CONVERGED = 2.5e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
 #: the distance [1], so that both cannot take turns; after so many steps [1] by less and less:
 #: where a kink lies between two states each is the better one by its own variances.
@@ -99,8 +96,6 @@ class MaximumSearch:
     density : Density
     points : Points
     scales : Scales
-    converged : float
-        The maximum is found where a step would lower minus twice the log posterior by less [1].
     held : int or None
         Place of an unknown that stays where it starts.
     most : int
@@ -112,12 +107,11 @@ class MaximumSearch:
         density: Density,
         points: Points,
         scales: Scales,
-        converged: float = CONVERGED,
         held: int | None = None,
         most: int = MOST_STEPS,
     ) -> None:
         self._density, self._points, self._scales = density, points, scales
-        self._converged, self._held, self._most = converged, held, most
+        self._held, self._most = held, most
         self._shortens = self._is_smooth = True
         self._cost = points.times.size + EVALUATION_COST
 
@@ -131,13 +125,12 @@ class MaximumSearch:
         FloatingPointError
             If the start's stress is beyond floating-point numbers.
         """
-        model, converged = self._density.model, self._converged
+        model = self._density.model
         state, damping = start.copy(), _DAMPING
         at = start  # where the variances are taken; it follows the state
         found = known if known is not None else self._density.evaluate(self._points, state)
         metric: _Metric | None = None
         is_solved = is_at_kink = is_at_bound = False
-        left = math.inf
         tried = 0
         if known is None:
             yield self._cost
@@ -156,10 +149,10 @@ class MaximumSearch:
             behind = state - at
             gain = float(free.towards @ loops.solve(normal, free.towards))
             left = gain + float(behind @ free.normal @ behind)
-            if left < converged:
+            if left < CONVERGED:
                 is_solved = True
                 break
-            if gain < 0.1 * converged:
+            if gain < 0.1 * CONVERGED:
                 continue
             if tried > MOST_STEPS:
                 break
@@ -168,8 +161,6 @@ class MaximumSearch:
             tried += tries
             if taken is None:
                 # A sample at the surface: its stress begins there, and so does its derivative.
-                if is_at_kink and left < NEARLY_FOUND:
-                    break
                 is_at_kink, damping = True, _DAMPING
                 continue
             state, found = taken
@@ -178,8 +169,6 @@ class MaximumSearch:
             # So much damping, where it is held up by a kink.
             elif damping > 0.1 and not is_at_kink:
                 is_at_kink, damping = True, _DAMPING
-        # Steps from kink to kink are short, and many.
-        is_solved |= is_at_kink and left < NEARLY_FOUND
         errors = self._metric(state, found).errors if metric is None else metric.errors
         return Maximum(state, found, errors, self._scales, is_solved, is_at_bound)
 

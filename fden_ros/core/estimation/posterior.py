@@ -17,13 +17,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.density import Belief, Density
 from fden_ros.core.estimation.error_model import ErrorModel
-from fden_ros.core.estimation.maximum import (
-    CONVERGED,
-    MOST_STEPS,
-    NEARLY_FOUND,
-    Maximum,
-    MaximumSearch,
-)
+from fden_ros.core.estimation.maximum import MOST_STEPS, Maximum, MaximumSearch
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
@@ -78,13 +72,12 @@ class Posterior(Density):
         points: Points,
         start: Array,
         scales: Scales,
-        converged: float = CONVERGED,
         most: int = MOST_STEPS,
         held: int | None = None,
         known: Evaluation | None = None,
     ) -> Parts[Maximum]:
         """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
-        search = MaximumSearch(self, points, scales, converged, held, most)
+        search = MaximumSearch(self, points, scales, held, most)
         # What overflows between two parts is for whoever goes on between them.
         parts = search.from_start(start, known)
         while True:
@@ -110,7 +103,7 @@ class Posterior(Density):
         return found
 
     def solutions_in_parts(
-        self, points: Points, starts: Sequence[Array], scales: Scales, converged: float = CONVERGED
+        self, points: Points, starts: Sequence[Array], scales: Scales
     ) -> Parts[list[Solution]]:
         """Return the posterior about each of the maxima that the starts lead to, the best first.
 
@@ -128,7 +121,7 @@ class Posterior(Density):
                 continue
             seen.append(maximum)
             with contextlib.suppress(*UNSOLVABLE):
-                found.append((yield from self._refined(points, maximum, converged)))
+                found.append((yield from self._refined(points, maximum)))
         if not found:
             raise FloatingPointError("no start leads to a maximum with a finite evidence")
         return found
@@ -159,13 +152,13 @@ class Posterior(Density):
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
         return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
-    def _refined(self, points: Points, best: Maximum, converged: float) -> Parts[Solution]:
-        """Return the solution about a maximum that is nearly found, at the scales best there."""
-        seen = [] if converged < NEARLY_FOUND else [best.scales]
+    def _refined(self, points: Points, best: Maximum) -> Parts[Solution]:
+        """Return the solution about a maximum, at the scales that are best there."""
+        seen = [best.scales]
         found = yield from self.averaged(points, best, self.grid)
         while found.best_scales not in seen:
             seen.append(found.best_scales)
-            best = yield from self._again(points, best, found.best_scales, converged)
+            best = yield from self._again(points, best, found.best_scales)
             found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
@@ -181,7 +174,7 @@ class Posterior(Density):
             If the stress is not finite at the state.
         """
         scales = before.best_scales
-        best = yield from self.maximum(points, state, scales, NEARLY_FOUND, _FEW_STEPS)
+        best = yield from self.maximum(points, state, scales, _FEW_STEPS)
         near = beside(self.grid, scales)
         others = before.scales.keys() - {w.scales for w in near}
         near += tuple(w for w in self.grid if w.scales in others)
@@ -190,7 +183,7 @@ class Posterior(Density):
             # Under scales that no longer fit, steps are many and short.
             found = yield from self._at_its_scales(points, best)
         if not found.is_solved:
-            begun = yield from self.maximum(points, state, self.moderate_scales, NEARLY_FOUND)
+            begun = yield from self.maximum(points, state, self.moderate_scales)
             tried = [found, (yield from self._at_its_scales(points, begun))]
             found = max(tried, key=lambda one: one.log_evidence)
         return self._considered(points, found)
@@ -198,14 +191,12 @@ class Posterior(Density):
     def _at_its_scales(self, points: Points, begun: Maximum) -> Parts[Solution]:
         """Return the solution about the maximum at the scales that are best where it begins."""
         chosen = (yield from self.averaged(points, begun, self.grid)).best_scales
-        best = yield from self._again(points, begun, chosen, NEARLY_FOUND)
+        best = yield from self._again(points, begun, chosen)
         return (yield from self.averaged(points, best, self.grid))
 
-    def _again(
-        self, points: Points, begun: Maximum, scales: Scales, converged: float
-    ) -> Parts[Maximum]:
+    def _again(self, points: Points, begun: Maximum, scales: Scales) -> Parts[Maximum]:
         """Return the maximum at other scales, from that of some."""
-        return self.maximum(points, begun.state, scales, converged, known=begun.evaluation)
+        return self.maximum(points, begun.state, scales, known=begun.evaluation)
 
     def given(
         self,
@@ -225,7 +216,7 @@ class Posterior(Density):
         FloatingPointError
             If the stress is not finite at the state.
         """
-        best = yield from self.maximum(points, state, scales, NEARLY_FOUND, most, place, known)
+        best = yield from self.maximum(points, state, scales, most, place, known)
         return (yield from self.averaged(points, best, (WeighedScales(scales),), place))
 
     def _considered(self, points: Points, found: Solution) -> Solution:
@@ -253,7 +244,7 @@ class Posterior(Density):
         maxima = []
         for start in starts:
             with contextlib.suppress(*UNSOLVABLE):
-                maxima.append((yield from self.maximum(points, start, scales, NEARLY_FOUND)))
+                maxima.append((yield from self.maximum(points, start, scales)))
         for _ in range(len(maxima) if len(maxima) > 1 else 0):
             best = maxima[0]
             compared = [replace(m, errors=best.errors) for m in maxima]

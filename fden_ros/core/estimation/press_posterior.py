@@ -294,7 +294,7 @@ class PressPosterior:
         elif found is not None and found.look.event is not None:
             self._begun = None  # of tissue without the event
             self._adopt(found)
-            self.begin_solution(Care.EXACT)
+            self.begin_solution(Care.FROM_STARTS)
         elif found is not None and self._begun is None:
             self.begin_solution()
 

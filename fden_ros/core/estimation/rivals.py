@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.maximum import NEARLY_FOUND
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
@@ -117,11 +116,8 @@ class Question:
 
     def solved(self, posterior: Posterior, start: Array, scales: Scales) -> Parts[Solution | None]:
         """Return the solution about the maximum near a start; None: there is none."""
-        starts = [start]
         try:
-            found = yield from posterior.solutions_in_parts(
-                self.points, starts, scales, NEARLY_FOUND
-            )
+            found = yield from posterior.solutions_in_parts(self.points, [start], scales)
             return found[0]
         except UNSOLVABLE:
             return None

@@ -73,17 +73,17 @@ class Schedule:
         over at once.
         """
         self.has_slowed |= has_slowed
-        care = Care.EXACT if self.is_over else least
-        if 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
+        care = least
+        if self.is_over or 2 * self._blocks_at_starts <= self.blocks or best.solved is None:
             care = max(care, Care.FROM_STARTS)
         can_tell = best.solved is not None and best.setting.can_tell_mismatch
         shows_relaxation = has_slowed or self.is_over
         if can_tell and not shows_relaxation and care is Care.FROM_STARTS:
             care = Care.ASKED_AT_ONCE
         elif can_tell and shows_relaxation and elapsed >= _ASKED_RATIO * self._asked_at:
-            care = Care.LAST if self.is_over else max(care, Care.ASKED)
-        # After a change it is not asked; what has not ended by the end of the press is asked anew.
-        self._asking_at = elapsed if care in (Care.ASKED, Care.LAST) else self._asked_at
+            care = Care.ASKED
+        # What has not ended by the end of the press is asked anew.
+        self._asking_at = elapsed if care is Care.ASKED else self._asked_at
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self.blocks
         return care

@@ -21,7 +21,7 @@ from fden_ros.core.estimation.maxima import (
     find_maxima,
     follow_maxima,
 )
-from fden_ros.core.estimation.maximum import CONVERGED, EVALUATION_COST, NEARLY_FOUND
+from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
@@ -92,14 +92,12 @@ class Solved:
 
 
 class Care(enum.IntEnum):
-    """How carefully a solution is sought; each includes those before, but EXACT not the asking."""
+    """How carefully a solution is sought; each includes those before."""
 
     TRACKED = enum.auto()  #: from the last maxima
     FROM_STARTS = enum.auto()  #: and from all starts
     ASKED_AT_ONCE = enum.auto()  #: and where the law is bent, whether the tissue relaxes at once
     ASKED = enum.auto()  #: and it is asked whether another law is likelier
-    EXACT = enum.auto()  #: maxima are found to CONVERGED
-    LAST = enum.auto()  #: the press is over
 
 
 @dataclass(frozen=True)
@@ -165,8 +163,7 @@ class Search:
     def _rivals(self, best: Solution) -> Parts[Rivals | None]:
         """Return other laws, against the law; None: they are not asked for."""
         at_once = self.care is Care.ASKED_AT_ONCE
-        is_asked = at_once or self.care in (Care.ASKED, Care.LAST)
-        if not is_asked or not self.setting.can_tell_mismatch:
+        if not (at_once or self.care is Care.ASKED) or not self.setting.can_tell_mismatch:
             return None
         if at_once and best.best_scales.kernel < self.setting.config.uncertainty.characteristic_sd:
             return None  # the law needs no other relaxation
@@ -184,7 +181,6 @@ class Search:
         if before is not None:
             strain = self._strain(self.setting.origin(before.best.mean))
             tracked = [(before.grown(s, posterior), s) for s in before.solutions.maxima]
-        converged = CONVERGED if self.care >= Care.EXACT else NEARLY_FOUND
         if tracked and self.care < Care.FROM_STARTS:
             try:
                 found = yield from follow_maxima(posterior, points, tracked, strain)
@@ -192,9 +188,7 @@ class Search:
             except UNSOLVABLE:
                 pass  # the record has grown beyond where the last solution has numbers
         first, starts = posterior.moderate_scales, self._starts()
-        found = yield from find_maxima(
-            posterior, points, starts, first, tracked, strain, converged
-        )
+        found = yield from find_maxima(posterior, points, starts, first, tracked, strain)
         return found, strain
 
     def _starts(self) -> list[Array]:

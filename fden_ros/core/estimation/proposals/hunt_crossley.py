@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.loops import ResponseState
-from fden_ros.core.estimation.maximum import NEARLY_FOUND
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_model import Curve, Evaluation, PressModel
@@ -157,7 +156,7 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     set_prior(posterior, LOG_GN, 0.0, _LOG_POWER_SD)
     scales, errors = law.straight.best_scales, law.straight.maximum.errors
     try:
-        begun = yield from posterior.maximum(points, start, scales, NEARLY_FOUND, _FIRST_STEPS)
+        begun = yield from posterior.maximum(points, start, scales, _FIRST_STEPS)
         evidence = posterior.evidence(points, replace(begun, errors=errors))
     except UNSOLVABLE:
         return None
