@@ -133,13 +133,8 @@ class ChangeLook:
         found = yield from self._with(event)
         if found is None or abs(float(found.mean[self._place])) < _LEAST_STEP:
             return Look(None, highest)
-        alone = yield from self._alone([(last.maximum.state, last)])
+        alone = yield from self._alone(last)
         gain = yield from self._gain(found, alone)
-        if gain >= THRESHOLD:
-            # One tissue is sought from where two have led, too.
-            back = [(np.delete(found.maximum.state, self._place), found)]
-            alone = _likelier(alone, (yield from self._alone(back)))
-            gain = yield from self._gain(found, alone)
         is_sure = alone is None or alone.is_solved
         if gain < (THRESHOLD if is_sure else _UNSURE * THRESHOLD):
             return Look(None, max(gain, highest))
@@ -148,8 +143,6 @@ class ChangeLook:
             jerked = yield from self._with(jerks[place])
             if (yield from self._gain(jerked, alone)) > gain:
                 return Look(jerks[place], gain, self.posterior_with(jerks[place]), jerked)
-        if self._would_pull(alone):
-            return Look(None, gain)
         return Look(event, gain, self.posterior_with(event), found)
 
     def _within(self, times: Sequence[float]) -> list[float]:
@@ -188,12 +181,6 @@ class ChangeLook:
         gains: list[float] = (0.5 * (left**2 / variance - np.log(variance))).tolist()
         return gains
 
-    def _would_pull(self, alone: Solution | None) -> bool:
-        """Whether one tissue would have to pull at the probe: it has let go of it."""
-        if alone is None or not self.without.model.geometry.is_one_sided:
-            return False
-        return bool(alone.maximum.evaluation.stress[-1] < 0.0)
-
     def _with(self, unknown: Unknown) -> Parts[Solution | None]:
         """Return the solution with an event; None: there is none."""
         times, since = self.points.times, unknown.since
@@ -222,14 +209,15 @@ class ChangeLook:
             return found.log_evidence - by_one
         return -math.inf
 
-    def _alone(self, states: Sequence[tuple[Array, Solution]]) -> Parts[Solution | None]:
-        """Return the best solution of one tissue that states lead to; None: there is none.
+    def _alone(self, last: Solution) -> Parts[Solution | None]:
+        """Return the best solution of one tissue that the last leads to; None: there is none.
 
         Where there are two, one may be long sought in vain.
         """
         most = _MOST_ALONE * (EVALUATION_COST + self.points.times.size)
         limit = self.without.limit = Limit(most)
         with contextlib.suppress(*UNSOLVABLE):
+            states = [(last.maximum.state, last)]
             found = yield from limit.counted(
                 follow_maxima(self.without, self.points, states, self.strain)
             )
@@ -249,8 +237,15 @@ class Placing:
 
     def in_parts(self) -> Parts[Unknown]:
         """Return the change at the likeliest time within PLACED_WITHIN of where it was."""
-        highest = yield from self._evidence(self.change)
-        change, _ = yield from placed(self.change, highest, PLACED_WITHIN, self._evidence)
+        change, highest = self.change, (yield from self._evidence(self.change))
+        for closer in _CLOSER:
+            assert change.since is not None
+            width = closer * PLACED_WITHIN
+            for since in (change.since - width, change.since + width):
+                other = change_since(since)
+                found = yield from self._evidence(other)
+                if found > highest:
+                    change, highest = other, found
         return change
 
     def _evidence(self, change: Unknown) -> Parts[float]:
@@ -259,26 +254,3 @@ class Placing:
             found = posterior.tracked_in_parts(self.points, self.state, self.solution)
             return (yield from found).log_evidence
         return -math.inf
-
-
-def _likelier(one: Solution | None, other: Solution | None) -> Solution | None:
-    if one is None or other is None:
-        return one or other
-    return other if other.log_evidence > one.log_evidence else one
-
-
-def placed(
-    change: Unknown, highest: float, width: float, evidence_of: Callable[[Unknown], Parts[float]]
-) -> Parts[tuple[Unknown, float]]:
-    """Return a change at the likeliest time within about `width` [s], and its log evidence.
-
-    `highest`: the log evidence where it is, over any other's as `evidence_of` has it.
-    """
-    for closer in _CLOSER:
-        assert change.since is not None
-        for since in (change.since - closer * width, change.since + closer * width):
-            other = change_since(since)
-            found = yield from evidence_of(other)
-            if found > highest:
-                change, highest = other, found
-    return change, highest
