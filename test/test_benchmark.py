@@ -471,6 +471,30 @@ def test_streams_that_waited_together_are_worked_off_side_by_side():
     assert max(apart) < 2.0 / 60.0
 
 
+@pytest.mark.parametrize(
+    "which",
+    first(
+        ("flat punch", 1),
+        *(("flat punch", 2), ("punch in a wide layer", 0), ("sphere on a layer", 1)),
+    ),
+)
+def test_stiffness_of_a_spring_and_dashpot_is_known_and_right_in_the_hold(which, monkeypatch):
+    """Its mismatch is told, and what is published as N/m is that of the spring."""
+    geometry, number = which
+    pressed = laws.found_at
+
+    def in_the_hold(press, stress, parameters):
+        *_, deepest, _, lifted = press.instants
+        held = tuple(np.linspace(deepest + 0.1, lifted - 0.1, 30))
+        return pressed(press._replace(instants=held), stress, parameters)
+
+    monkeypatch.setattr(laws, "found_at", in_the_hold)
+    found = laws.run_stiffness(("kelvin_voigt", geometry, laws.RIGID), number)
+    flagged = [one for one in found if one.is_known and one.is_flagged]
+    assert len(flagged) >= 3
+    assert all(one.is_inside for one in flagged)
+
+
 def test_stiffness_of_a_spring_and_dashpot_is_told_as_a_mismatch_in_the_hold(monkeypatch):
     """What is published as N/m without a flag is right, or it is not published."""
     pressed = laws.found_at

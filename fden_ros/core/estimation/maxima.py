@@ -32,7 +32,7 @@ from fden_ros.core.estimation.unknowns import LAW, LOG_GN
 _SAME = 0.2
 #: Above the boundary by less than this a law is as good as linear, and one that bends begins so
 #: far above it [1].
-_NEAR, _BENT = 0.05, 0.3
+NEAR_BOUNDARY, _BENT = 0.05, 0.3
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def _followed(
     found = []
     for state, solution in before:
         begun = [state]
-        if state[LOG_GN] < boundary + _NEAR and not posterior.is_known(LOG_GN):
+        if state[LOG_GN] < boundary + NEAR_BOUNDARY and not posterior.is_known(LOG_GN):
             # Of a linear law no derivative leads to a bend.
             bent = state.copy()
             bent[LOG_GN] = boundary + _BENT
@@ -218,7 +218,7 @@ def _weighed(
     boundary = boundary_of(strain)
     has_linear = False
     for k in np.argsort(-evidence):
-        is_linear = found[k].maximum.state[LOG_GN] < boundary + _NEAR
+        is_linear = found[k].maximum.state[LOG_GN] < boundary + NEAR_BOUNDARY
         is_negligible = evidence[k] < evidence.max() - NEGLIGIBLE
         # So that a solution has a longest time: no recording had a fourth maximum.
         if is_negligible or len(kept) == 3 or (is_linear and has_linear):

@@ -46,6 +46,7 @@ class Rival(NamedTuple):
     log_odds: float  #: logarithm of its evidence over the law's [1]
     model: PressModel
     component: Component  #: its posterior
+    deepest: float  #: largest compression of its record [1]
 
 
 class Rivals(NamedTuple):
@@ -146,7 +147,9 @@ class Law:
         both = self.question.solution, solution
         misfit = min(float(np.mean(one.residuals**2)) for one in both)
         gain = (log_evidence - self.log_evidence) / max(misfit, 1.0)
-        return Rival(name, gain, model, Component(1.0, solution.mean, solution.covariance))
+        component = Component(1.0, solution.mean, solution.covariance)
+        deepest = float(self.question.points.compressions.max())
+        return Rival(name, gain, model, component, deepest)
 
 
 def rivals_of(question: Question) -> Parts[Rivals | None]:

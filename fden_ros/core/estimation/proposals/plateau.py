@@ -20,12 +20,14 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.maxima import NEAR_BOUNDARY, boundary_of
+from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME
+from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.rivals import PART, Law, Question, Rival
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, ORDER
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import RATES, left_after, relaxation_weights
 
 #: Rates of the rival: times the time since the touch of one that has just begun, and times that of
@@ -69,7 +71,24 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     best, model, solution = max(found, key=lambda one: one[0])
     # A rate that was not tried has none: it can only be more.
     total = sum(math.exp(evidence - best) for evidence, _, _ in found)
-    return law.against("plateau", best + math.log(total / len(rates)), model, solution)
+    own = law.against("plateau", best + math.log(total / len(rates)), model, solution)
+    return own._replace(component=_component(question.points, model, solution))
+
+
+def _component(points: Points, model: PressModel, solution: Solution) -> Component:
+    """Return its posterior, without Gn where it is linear over the record.
+
+    The record says nothing of Gn there, and its prior's mean bends within the record: N/m of a
+    spring was 1.5 times too large.
+    """
+    mean, covariance = solution.mean.copy(), solution.covariance.copy()
+    state = solution.maximum.state
+    deepest = float(model.motion.compressions(points, state).max())
+    boundary = boundary_of(model.geometry.strain(max(deepest, 0.0)))
+    if state[LOG_GN] < boundary + NEAR_BOUNDARY:
+        mean[LOG_GN] = min(state[LOG_GN], boundary)
+        covariance[LOG_GN] = covariance[:, LOG_GN] = 0.0
+    return Component(1.0, mean, covariance)
 
 
 def _rates(question: Question) -> list[int]:
