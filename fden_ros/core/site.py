@@ -117,8 +117,7 @@ class Site(Standing):
     def is_elsewhere(self, onset: Onset) -> bool | None:
         """Whether a touch is at another site; None: no positions, and after the timeout."""
         first = onset.samples[0]
-        is_apart = self.whereabouts.is_apart(first.position)
-        if is_apart is not None:
+        if (is_apart := self.whereabouts.is_apart(first.position)) is not None:
             return is_apart
         is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
         return None if is_late else False

@@ -117,7 +117,7 @@ def law(estimate: Estimate | None) -> str:
     )
     if math.isnan(estimate.plateau_probability):
         return text
-    return f"{text}; it ends with a probability of {estimate.plateau_probability:.2f}"
+    return f"{text}; another law has a probability of {estimate.plateau_probability:.2f}"
 
 
 def _rounded_up(value: float) -> str:

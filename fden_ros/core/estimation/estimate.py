@@ -127,8 +127,8 @@ class Estimate(NamedTuple):
     mean_dwell_time: float = 0.0
     #: None: not known, before the first solution, and where the law is said to be exact.
     law_error: LawError | None = None
-    #: Probability of a relaxation that ends, so that predictions do not hold [1]; NaN: not known,
-    #: as before alpha has converged in a hold, or the end of the first contact of a site.
+    #: Probability of another law, a relaxation with a plateau or Hunt-Crossley: predictions do not
+    #: hold [1]; NaN: not known, as before the motion has slowed.
     plateau_probability: float = math.nan
     #: G over what it was at the last press into this place [1], and its standard deviation [1];
     #: None: there was none.

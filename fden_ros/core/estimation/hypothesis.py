@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -292,17 +292,21 @@ class Hypothesis:
         There is tissue between them, too, which each by itself would rule out: at the second of
         three presses with an arm's errors ln G was 2.4 deviations off.
         """
-        found = self._parts()
-        ridge = [part for one, parts in found if one.held == ORIGIN for part in parts]
-        others = [parts for one, parts in found if one.held != ORIGIN]
-        if ridge:
-            others.sort(key=lambda parts: sum(part.weight for part in parts))
-            others.append([merged([*ridge, *(others.pop() if others else ())])])
-        return tuple(self._now(part) for parts in others for part in parts)
+        return tuple(self._now(part) for part in _with_ridges_merged(self._parts()))
 
     def _now(self, component: Component) -> Component:
         assert self.solved is not None
         return after_changes(component, self.solved.model)
+
+
+def _with_ridges_merged(found: Sequence[tuple[PressFilter, list[Component]]]) -> list[Component]:
+    """Return components, those of held origins in one Gaussian with the likeliest others."""
+    ridge = [part for one, parts in found if one.held == ORIGIN for part in parts]
+    others = [parts for one, parts in found if one.held != ORIGIN]
+    if ridge:
+        others.sort(key=lambda parts: sum(part.weight for part in parts))
+        others.append([merged([*ridge, *(others.pop() if others else ())])])
+    return [part for parts in others for part in parts]
 
 
 def after_changes(one: Component, model: PressModel) -> Component:

@@ -150,7 +150,6 @@ class PressPosterior:
             Means of the block [Pa, 1].
         is_past : bool
             Later samples have come already: a solution would have less time.
-
         """
         innovation = self._unpredicted(stress)
         blocks, now = self.intake.blocks(), self.intake.now

@@ -135,7 +135,7 @@ class PressSetting:
 
     @property
     def can_tell_mismatch(self) -> bool:
-        """Whether a press can tell that the relaxation ends: the first, whose alpha is learned."""
+        """Whether a press can tell that another law is likelier: the first that learns alpha."""
         return self.is_bent and self.carried is None and not self.config.is_order_given
 
     def origin(self, mean: Array) -> float:
