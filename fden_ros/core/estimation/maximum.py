@@ -37,8 +37,9 @@ MOST_STEPS, _MOST_TRIES = 60, 8
 #: the summary.
 CONVERGED = 2.5e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
-#: the distance [1], so that both cannot take turns.
-_QUICK_STEPS, _FOLLOWING = 5, 0.5
+#: the distance [1], so that both cannot take turns; after so many steps [1] by less and less:
+#: where a kink lies between two states each is the better one by its own variances.
+_QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
 #: Stiffness by which a touch is held at a sample, over the stiffest of what moves it [1]: beside
 #: that of all unknowns rounding would leave no positive definite normal equations.
 _HELD = 1e4
@@ -136,7 +137,8 @@ class MaximumSearch:
         for count in range(self._most):
             if self._density.limit.is_reached:
                 break
-            at = state if count < _QUICK_STEPS else at + _FOLLOWING * (state - at)
+            part = _FOLLOWING * min(1.0, _PATIENCE / max(count, 1))
+            at = state if count < _QUICK_STEPS else at + part * (state - at)
             metric = self._metric(at, found if at is state else None)
             free = self._equations(state, found, metric)
             normal, is_at_bound = free.normal, free.is_at_bound
