@@ -364,9 +364,12 @@ def _memory_mb(pid: int) -> float:
 
 def _family(pid: int) -> list[int]:
     """Return a process with those that it has begun."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    begun = (word for task in tasks for word in (task / "children").read_text().split())
-    return [pid, *(int(word) for word in begun)]
+    found = [pid]
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        # A thread may end in the meantime.
+        with contextlib.suppress(FileNotFoundError):
+            found += map(int, (task / "children").read_text().split())
+    return found
 
 
 # The processes
