@@ -9,6 +9,7 @@ contact at 1 kHz takes about that.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -32,8 +33,10 @@ def raise_priority(nice: int) -> str:
     try:
         for thread in threads.iterdir():
             number = int(thread.name)
-            if os.getpriority(os.PRIO_PROCESS, number) > nice:
-                os.setpriority(os.PRIO_PROCESS, number, nice)
+            # One may end in the meantime.
+            with contextlib.suppress(ProcessLookupError):
+                if os.getpriority(os.PRIO_PROCESS, number) > nice:
+                    os.setpriority(os.PRIO_PROCESS, number, nice)
     except PermissionError:
         return (
             f"nice {nice} is not permitted: next to busy processes estimates may come late; "
