@@ -479,7 +479,7 @@ def test_streams_that_waited_together_are_worked_off_side_by_side():
     ),
 )
 def test_stiffness_of_a_spring_and_dashpot_is_known_and_right_in_the_hold(which, monkeypatch):
-    """Its mismatch is told, and what is published as N/m is that of the spring."""
+    """It is flagged MODEL_MISMATCH, and the N/m that are published are the spring's."""
     geometry, number = which
     pressed = laws.found_at
 

@@ -632,7 +632,7 @@ def _drawn(seed: int) -> tuple[np.random.Generator, Array, float]:
 
 
 def _after_hunt_and_crossley(seed: int) -> str:
-    """Return as what such tissue is told; its N/m is right where it is told as what it is."""
+    """Return the likeliest other law of such tissue; N/m is right where that is its own."""
     random, strains, stiffness = _drawn(seed)
     # Where the power is 1 a dashpot explains the ramp as well.
     power, damping = random.uniform([1.2, 0.1], [2.0, 1.0]).tolist()

@@ -40,7 +40,7 @@ class MeasuredContacts:
         self.unseen = NOT_MEASURED
         self._found: dict[int, BothWays] = {}
         self._was_in_contact = False
-        self._kept: tuple[int, BothWays] | None = None  # what was kept last, and of what contact
+        self._kept = 0, NOT_MEASURED  # what was kept last, behind the contact that it is of
 
     @property
     def newest(self) -> BothWays:
@@ -77,7 +77,8 @@ class MeasuredContacts:
 
     def _keep(self, contact_id: int) -> None:
         found, newest = self._found, self.newest
-        if self._kept is not None and self._kept[0] == contact_id and self._kept[1] is newest:
+        last_id, last = self._kept
+        if contact_id == last_id and newest is last:
             return
         self._kept = contact_id, newest
         if contact_id not in found:

@@ -24,8 +24,8 @@ class MessageKind:
     field: str  #: a vector or a number; of joints one each
     torque: str = ""  #: a vector; empty: it has none of its own
     orientation: str = ""  #: empty: it has none
-    #: What follows the header (and a child's name) are so many numbers of 8 bytes, those of a
-    #: vector `field` first: then a message is read without being decoded; 0: it is not.
+    #: Numbers of 8 bytes that follow the header (and a child's name), those of a vector `field`
+    #: first: such a message is read without being decoded; 0: it is decoded.
     size: int = 0
     has_child: bool = False  #: the name of a child frame follows the header
     is_of_joints: bool = False

@@ -170,8 +170,7 @@ def _carry_over(
     `time`: at which its memory is what it is [s]; `most`: Gaussians.
     """
     _, likeliest = max(own, key=lambda pair: pair[0])
-    total = sum(weight for weight, _ in own)
-    past.log_odds = math.log(total)
+    past.log_odds = math.log(sum(weight for weight, _ in own))
     past.deepest = likeliest.deepest(deepest)
     past.changes += likeliest.change_count
     past.other = None
@@ -179,17 +178,14 @@ def _carry_over(
         return
     model, free = likeliest.solved.model, likeliest.setting.free
     # A solution of a shorter record may lack the law's errors of this one.
-    like = [
-        (weight, other)
-        for weight, other in own
-        if other.solved is not None and other.solved.model.last_knot == model.last_knot
-    ]
-    total = sum(weight for weight, _ in like)
-    whole = [
-        _as_in(model, other, part._replace(weight=weight / total * part.weight))
-        for weight, other in like
-        for part in other.modes_now
-    ]
+    whole = normalized(
+        [
+            _as_in(model, other, part._replace(weight=weight * part.weight))
+            for weight, other in own
+            if other.solved is not None and other.solved.model.last_knot == model.last_knot
+            for part in other.modes_now
+        ]
+    )
     if free is not None:
         # What earlier presses have left counts in the stress of the tissue as it is now.
         softer = sum(part.weight * model.surface.softening(part.mean) for part in whole) - 1.0

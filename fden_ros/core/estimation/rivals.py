@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.mixture import Component
@@ -58,7 +59,7 @@ class Rivals(NamedTuple):
     def probability(self) -> float:
         """That the tissue has one of these laws, and not the law [1]."""
         others = float(np.logaddexp.reduce([one.log_odds for one in self.all], initial=-math.inf))
-        return 1.0 / (1.0 + math.exp(min(-others, 700.0)))
+        return float(expit(others))
 
     @property
     def likeliest(self) -> Rival | None:
