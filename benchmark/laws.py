@@ -5,10 +5,11 @@
 
 Poroelastic and linear solids, other relaxations, other stress-strain curves, and tissue that wears
 from press to press are simulated apart from the identifier. A listener, as in a controller, hears
-the states, and predicts the force of the motion of the next 3 s at four moments of each press:
-three fifths of the way on the ramp, at its end, half way through the hold and 3 s before its end.
-What is converged without a warning flag is predicted and counts: the share of the samples in the
-95 % interval, and its half width in percent of the peak; the others are refused.
+the states, and predicts the force of the motion of the next 3 s at five moments of each press:
+three fifths of the way on the ramp, at its end, 0.5 s later, half way through the hold and 3 s
+before its end. What is converged without a warning flag, or told to be of another law, is
+predicted and counts: the share of the samples in the 95 % interval, and its half width in percent
+of the peak; the others are refused.
 
 N/m is asked for apart (``law_stiffness.py``): of laws without relaxation, and with other probes.
 """
@@ -85,8 +86,9 @@ _RETRACT_RATE = 0.5
 AHEAD_S = 3.0
 #: Where on the ramp is predicted, as a share of its part in contact.
 _ON_RAMP = 0.6
+_LATER_S = 0.5
 #: Of a press, in the order of time.
-MOMENTS = ("on the ramp", "its end", "half way", "3 s before the end")
+MOMENTS = ("on the ramp", "its end", "0.5 s later", "half way", "3 s before the end")
 
 
 class Case(NamedTuple):
@@ -207,7 +209,7 @@ def recorded(case: Case, number: int) -> Recording:
         # The tissue has not come back from the last press: it is met on the way.
         touch = float(times[(times < deepest) & (forces == 0.0)][-1])
         instants = (
-            *(touch + _ON_RAMP * (deepest - touch), deepest),
+            *(touch + _ON_RAMP * (deepest - touch), deepest, deepest + _LATER_S),
             *(0.5 * (deepest + lifted), lifted - AHEAD_S),
         )
         moments += list(zip(MOMENTS, instants, strict=True))
@@ -251,16 +253,14 @@ def run_trial(which: tuple[str, str], number: int) -> Trial:
 def _predicted(recording: Recording, live: LiveTissue, heard: float, moment: str) -> Predicted:
     """Return what a listener predicts at `heard` [s] for the motion that follows."""
     now = START_NS / NANOSECONDS + heard
-    refusal = live.refusal(now)
-    if refusal is not None:
-        return Predicted(moment, refusal.name)
+    predictor = live.predictor(now)
+    if predictor is None:
+        refusal = live.refusal(now)
+        return Predicted(moment, refusal.name if refusal is not None else "NOT_HEARD")
     half = 0.5 / _RATE_HZ
     first, last = np.searchsorted(recording.times, [heard + half, heard + AHEAD_S + half])
     times, depths = recording.times[first:last], recording.displacements[first:last]
     start = float(np.interp(heard, recording.times, recording.displacements))
-    predictor = live.predictor(now)
-    if predictor is None:
-        return Predicted(moment, "NOT_HEARD")
     prediction = predictor.force(times - heard, depths - start)
     off = prediction.value - recording.forces[first:last]
     width = TWO_SIDED_95 * prediction.sd

@@ -171,9 +171,12 @@ class TissueFeed:
             return self._live.refusal(time.monotonic())
 
     def stiffness(self, time_scale: float = 0.1) -> tuple[float, float] | None:
-        """Return dF/dd for a motion of `time_scale` seconds and its deviation [N/m], or None."""
-        reading = self.reading()
-        return None if reading is None else reading.stiffness(time_scale)
+        """Return dF/dd for a motion of `time_scale` seconds and its deviation [N/m], or None.
+
+        Of tissue of another law, MODEL_MISMATCH, it is that law's.
+        """
+        with self._lock:
+            return self._live.stiffness(time.monotonic(), time_scale)
 
     def measured(self) -> BothWays:
         """Return the slopes of force over displacement of the newest loading and unloading.

@@ -618,7 +618,7 @@ def test_a_new_law_is_one_new_file(
     assert rivals is not None and rivals.likeliest is not None
     assert (rivals.likeliest.name, rivals.likeliest.log_odds) == ("trial", pytest.approx(gain))
     # Before the data each of the two is as likely as the other: e^3 is 0.95 after them.
-    assert last.plateau_probability == pytest.approx(1.0 / (1.0 + math.exp(-gain)), abs=5e-3)
+    assert last.other_law_probability == pytest.approx(1.0 / (1.0 + math.exp(-gain)), abs=5e-3)
     assert estimator.is_mismatch is is_told
     (motion_of_it,) = last.small_motions
     assert (motion_of_it.components[0].mean is rivals.likeliest.component.mean) is is_told

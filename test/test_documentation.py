@@ -373,8 +373,8 @@ DEFAULTS = {parameter.name: parameter.default for parameter in (*PARAMETERS, *NO
 TISSUE_ESTIMATE = "msg_defs/msg/TissueEstimate.msg"
 #: What pages and messages say of numbers of the code, and the numbers.
 SAID = [
-    ("docs/interface.md", "`plateau_probability` above {}", hypothesis.MISMATCH),
-    (TISSUE_ESTIMATE, "plateau_probability is above {};", hypothesis.MISMATCH),
+    ("docs/interface.md", "`other_law_probability` above {}", hypothesis.MISMATCH),
+    (TISSUE_ESTIMATE, "other_law_probability is above {};", hypothesis.MISMATCH),
     ("docs/interface.md", "more than {:g} standard deviations off the prior", claims.EDGE),
     (TISSUE_ESTIMATE, "over {:g} standard deviations off its prior: see", claims.EDGE),
     ("docs/interface.md", "within {:g} standard deviations of", press_estimate._CONTRADICTION),

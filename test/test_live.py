@@ -34,7 +34,7 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 
 from fden_ros.control import LiveTissue, Reading, Refusal
-from fden_ros.core.estimation import ParameterSet
+from fden_ros.core.estimation import OtherLaw, OtherLawKind, ParameterSet
 from fden_ros.core.law import FlatPunch
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
@@ -409,6 +409,30 @@ def test_what_cannot_be_relied_on_is_refused_with_its_reason(press, change, refu
     live.add(replace(last, stamp_ns=stamp_ns, **change), stamp_ns / NANOSECONDS)
     assert live.refusal(stamp_ns / NANOSECONDS) is refusal
     assert losses == ([refusal] if refusal is not None else [])
+
+
+def test_tissue_of_another_law_has_its_stiffness_and_forces_and_no_reading(press):
+    other = OtherLaw(OtherLawKind.PLATEAU, np.array([8.0, 2.0, 1.5, 0.0]), 1e-4 * np.eye(4))
+    flagged, changed = Flag.MODEL_MISMATCH, Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
+    for flags, law, is_known in (
+        (flagged, other, True),
+        (flagged, None, False),
+        (changed, other, False),
+    ):
+        live, now = press.heard_until(3.0)
+        last = next(s for s in reversed(press.states) if s.stamp_ns <= (now + 1e-9) * NANOSECONDS)
+        stamp_ns = last.stamp_ns + 10_000_000
+        then = stamp_ns / NANOSECONDS
+        estimate = last.estimate._replace(other_law=law, other_law_probability=1.0)
+        live.add(replace(last, stamp_ns=stamp_ns, flags=flags, estimate=estimate), then)
+        assert live.reading(then) is None
+        assert (live.predictor(then) is not None) is is_known
+        found = live.stiffness(then, 0.5)
+        assert (found is not None) is is_known
+        if found is not None:
+            apparent = last.apparent_stiffness
+            ratio = (1.0 + 1.5 * math.exp(-0.5)) / (1.0 + 1.5 * math.exp(-apparent.time_scale))
+            assert found == pytest.approx((ratio * apparent.value, ratio * apparent.sd))
 
 
 def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(press):

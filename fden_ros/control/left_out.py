@@ -25,6 +25,8 @@ from fden_ros.core.arrays import Array
 
 #: A hold lasts while the strain stays within this part of where it began [1].
 _HOLD_PART = 0.02
+#: A hold of this time shows the relaxation [s].
+SHOWN_TIME = 1.5
 #: Points are kept from this time in the hold on [s], as far apart as this part of it [1], and as
 #: many of them at most.
 _FIRST_POINT, _SPACING, _MOST_POINTS = 0.1, 0.04, 24
@@ -50,7 +52,13 @@ class Slope(NamedTuple):
 
 
 class Hold:
-    """The newest points of the present hold, in bounded memory."""
+    """The newest points of the present hold, in bounded memory.
+
+    Attributes
+    ----------
+    time : float
+        That it has lasted [s].
+    """
 
     def __init__(self) -> None:
         self._points: deque[Point] = deque(maxlen=_MOST_POINTS)
@@ -59,7 +67,7 @@ class Hold:
     def end(self) -> None:
         """Let the next sample begin another hold."""
         self._points.clear()
-        self._strain, self._time, self._next = math.nan, 0.0, _FIRST_POINT
+        self._strain, self.time, self._next = math.nan, 0.0, _FIRST_POINT
 
     def copy(self) -> Hold:
         """Return the hold as it is now."""
@@ -73,13 +81,13 @@ class Hold:
             self.end()
             self._strain = strain
             return False
-        self._time += step
-        return self._time >= self._next
+        self.time += step
+        return self.time >= self._next
 
     def keep(self, time: float, stress: float) -> None:
         """Keep a point at the present [s]."""
         self._points.append(Point(time, stress))
-        self._next = (1.0 + _SPACING) * self._time
+        self._next = (1.0 + _SPACING) * self.time
 
     def slope(self, now: float, age: float) -> Slope | None:
         """Return how the slope follows where the loading's age is `age` [s]; None: not known."""

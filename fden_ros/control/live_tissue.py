@@ -18,7 +18,14 @@ from statistics import median
 
 from fden_ros.control.prediction import Predictor
 from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
+from fden_ros.core.estimation import (
+    NOTHING_UNKNOWN,
+    Estimate,
+    OtherLaw,
+    ParameterSet,
+    Uncertainty,
+    other_along,
+)
 from fden_ros.core.law import SHORTEST_STEP, FlatPunch, Geometry
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
@@ -225,19 +232,11 @@ class LiveTissue:
 
     def refusal(self, now: float) -> Refusal | None:
         """Return why there is no estimate to rely on, or None if there is one."""
+        refusal = self._without_estimate(now, REFUSED_FLAGS)
+        if refusal is not None:
+            return refusal
         state = self._state
-        if state is None:
-            return Refusal.NEVER_HEARD
-        is_stale = state.status is Status.STALE
-        patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
-        if not self._alive or now - self._arrival > patience:
-            return Refusal.LOST
-        if state.status is Status.LATE or max(self._lag, state.lag) > self.deadline:
-            return Refusal.LATE
-        if state.flags & REFUSED_FLAGS:
-            return Refusal.REJECTED
-        if state.status in _BY_STATUS:
-            return _BY_STATUS[state.status]
+        assert state is not None
         if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
             return Refusal.NOT_CONVERGED
         if not self._is_known(state):
@@ -248,6 +247,21 @@ class LiveTissue:
             return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
         return Refusal.CONTRADICTED if self._contradicted == state.contact_id else None
 
+    def _without_estimate(self, now: float, refused: Flag) -> Refusal | None:
+        """Return why nothing of the present is to be relied on, whatever the estimate is."""
+        state = self._state
+        if state is None:
+            return Refusal.NEVER_HEARD
+        is_stale = state.status is Status.STALE
+        patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
+        if not self._alive or now - self._arrival > patience:
+            return Refusal.LOST
+        if state.status is Status.LATE or max(self._lag, state.lag) > self.deadline:
+            return Refusal.LATE
+        if state.flags & refused:
+            return Refusal.REJECTED
+        return _BY_STATUS.get(state.status)
+
     def reading(self, now: float) -> Reading | None:
         """Return the latest estimate if it may be relied on."""
         state = self._state
@@ -255,6 +269,21 @@ class LiveTissue:
             return None
         age = max(now - self._arrival, 0.0) + max(self._lag, state.lag)
         return Reading(state, state.estimate, age)
+
+    def stiffness(self, now: float, time_scale: float) -> tuple[float, float] | None:
+        """Return dF/dd and its deviation [N/m] for a small motion of `time_scale` [s], or None.
+
+        Of tissue of another law, MODEL_MISMATCH, it is that law's.
+        """
+        reading, other = self.reading(now), self._other_law(now)
+        if reading is not None:
+            return reading.stiffness(time_scale)
+        apparent = self._state.apparent_stiffness if self._state is not None else None
+        if apparent is None or other is None:
+            return None
+        law = other_along(self.geometry, other, other.mean)
+        ratio = law.relaxation(time_scale) / law.relaxation(apparent.time_scale)
+        return apparent.value * ratio, apparent.sd * ratio
 
     def measured(self, now: float) -> BothWays:
         """Return the newest measured slopes: they need no estimate, but an identifier in time."""
@@ -268,22 +297,33 @@ class LiveTissue:
 
         None if there is no estimate to rely on, if Gn is not known, which says how the tissue
         stiffens, or if its contact was not heard from the touch on: the memory is not known then.
+        Tissue of another law, MODEL_MISMATCH, is predicted by that.
         """
-        reading = self.reading(now)
-        if reading is None or not reading.estimate.converged or not self._memory_whole:
+        state = self._state
+        if state is None or state.estimate is None or state.signals is None:
             return None
-        signals, innovation = reading.state.signals, reading.state.innovation
-        assert signals is not None
+        is_known = self.refusal(now) is None and state.estimate.converged
+        if not self._memory_whole or not (is_known or self._other_law(now)):
+            return None
         return Predictor(
             self.geometry,
-            reading.estimate,
+            state.estimate,
             self._memory.copy(),
-            signals.stress,
-            innovation.variance if innovation is not None else 0.0,
+            state.signals.stress,
+            state.innovation.variance if state.innovation is not None else 0.0,
             self._uncertainty,
         )
 
     # Inside
+
+    def _other_law(self, now: float) -> OtherLaw | None:
+        """Return the other law that the tissue has, where nothing else is against the estimate."""
+        state = self._state
+        if state is None or state.estimate is None or not state.flags & Flag.MODEL_MISMATCH:
+            return None
+        if self._without_estimate(now, REFUSED_FLAGS & ~Flag.MODEL_MISMATCH) is not None:
+            return None
+        return state.estimate.other_law
 
     def _is_known(self, state: TissueState) -> bool:
         """Whether what is required has converged."""

@@ -3,20 +3,18 @@
 
 r"""Force of a planned motion, with its interval.
 
-The law at a time t after the present, with the motion so far remembered and the one to come
-between the points of the plan linear in :math:`\varphi`:
+A law at a time t after the present,
 
-.. math:: f(t) = M(t) + \sum_j g_j(t)\,\Delta\varphi_j + v, \qquad
-    g_j(t) = \frac{(t-t_{j-1})^{1-\alpha} - (t-t_j)^{1-\alpha}}{\Gamma(2-\alpha)\,(t_j-t_{j-1})}
+.. math:: f(t) = M(t) + v, \qquad v = f(0) - M(0)
 
-M is what the law makes of the past motion (:mod:`fden_ros.control.tissue_memory`). The stress v is
-what law and rig leave out at present: the plan begins at what is measured now, and what the law
-leaves out stays as it is, or goes on as it went in the hold so far
+with M what it makes of the motion so far (:mod:`fden_ros.control.tissue_memory`) and of the one to
+come. The stress v is what law and rig leave out at present: the plan begins at what is measured
+now, and what the law leaves out stays as it is, or goes on as it went in the hold so far
 (:mod:`fden_ros.control.left_out`).
 
-The interval is first-order: derivatives by (ln G, ln Gn, alpha, v) under the estimate's covariance
-and the variance of the last innovation. To it comes the variance by which what is left out may
-grow while the plan lasts, by the clocks of the posterior's error processes
+The interval is first-order: derivatives by the law's parameters and v, under their covariance and
+the variance of the last innovation. To it comes the variance by which what is left out may grow
+while the plan lasts, by the clocks of the posterior's error processes
 (:mod:`fden_ros.core.estimation.error_model`),
 
 .. math::
@@ -26,6 +24,9 @@ grow while the plan lasts, by the clocks of the posterior's error processes
 with :math:`\sigma_c` the characteristic's relative error, :math:`\sigma_k` the kernel's over
 :math:`\ell` of ln t, and the motion of the surface against the stiffness k that it meets; and the
 relaxation by what the hold has shown of it.
+
+The tissue may have another law: with the probability p of that the prediction is the mixture of
+both, :math:`(1 - p)\,N(m_0, s_0^2) + p\,N(m_1, s_1^2)`, by its moments.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -45,17 +46,16 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
     KERNEL_SHARE,
     NOTHING_UNKNOWN,
+    Along,
     Estimate,
+    LawAlong,
     LoadingAhead,
-    StateIndex,
     Uncertainty,
-    surface_factor,
+    other_along,
 )
-from fden_ros.core.law import Geometry, elastic_responses, phi
+from fden_ros.core.law import SHORTEST_STEP, Geometry
 from fden_ros.errors import InputError
 
-#: Just after the present [s]: the first instant of which the memory knows the whole past.
-_AT_ONCE = 1e-5
 #: Points of a plan are this close at most, as a part of its length.
 _FINEST_PART = 40
 #: Before a hold has shown the relaxation its deviation is this multiple of the stated one [1]: at
@@ -67,8 +67,13 @@ _UNSEEN_RELAXATION = 2.0
 #: the 95 % interval then holds all of the hold to come, at 2.9 %. With 0.6 and 0.4 it has 4.6 %,
 #: and holds 99 % in place of 83 % on a poroelastic solid of 20 s.
 _KEPT, _SLOPE_CHANGE, _SHOWN_RELAXATION = 0.7, 0.33, 0.3
-_DERIVATIVE_STEP = 1e-4
-_ORDER_STEP = 0.005
+#: The same part of another law, which is exact for none: chosen on simulated poroelastic solids
+#: of 2 and 20 s, whose relaxation has many rates [1].
+_OTHERS_RELAXATION = 0.6
+#: Derivatives are differences over this part of a standard deviation [1].
+_DERIVATIVE_PART = 0.1
+#: A law that is less likely than this is not asked [1].
+_UNLIKELY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,12 @@ class Prediction:
         return self.value - deviations * self.sd, self.value + deviations * self.sd
 
 
-class _Path(NamedTuple):
-    """How the loading changes along a plan, each of shape (n,)."""
+class _Plan(NamedTuple):
+    """A motion to come, arrays of shape (n,)."""
 
-    steps: Array  #: of the time [s]
-    ahead: LoadingAhead
-    stiffness: Array  #: of the stress by the displacement, relaxed [Pa/m]
+    times: Array  #: since the present [s]
+    compressions: Array  #: by then [1]
+    strains: Array  #: at present and by then [1], shape (n + 1,)
 
 
 class _Trend(NamedTuple):
@@ -141,49 +146,97 @@ class Predictor:
         InputError
             If the plan has no shape, or its times do not increase from 0.
         """
-        wanted, moves = _plan(times, displacements)
+        wanted, moves = _checked(times, displacements)
         grid = _grid(wanted)
         moved = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
         compressions = self.memory.compression + moved / self.geometry.length
-        strains = np.array([self.geometry.strain(float(u)) for u in compressions])
-
-        path = self._path(grid, strains)
-
-        def stresses(logs: Array, order: float, shift: float) -> Array:
-            remembered, gains = self._remembered(grid, path, logs, order)
-            responses = phi(np.append(self.memory.strain, strains), *np.exp(logs))
-            # Contact pushes and does not pull.
-            return np.maximum(remembered + gains @ np.diff(responses) + shift, 0.0)
-
-        planned = stresses(*self._parameters, 0.0)
-        left_out = self._left_out_variance(path, planned)
-        variance = self._variance(stresses, planned) + left_out
+        strains = [self.geometry.strain(float(u)) for u in compressions]
+        plan = _Plan(grid, compressions, np.append(self.memory.strain, strains))
+        found = [(law.weight, *_LawAhead(self, law, plan).moments()) for law in self._laws()]
+        weights, means, variances = (np.array(each) for each in zip(*found, strict=True))
+        mean = weights @ means
+        variance = weights @ (variances + (means - mean) ** 2)
         scale = 1.0 / self.geometry.stress_per_force
         return Prediction(
             wanted,
-            scale * np.interp(wanted, grid, planned),
+            scale * np.interp(wanted, grid, mean),
             scale * np.sqrt(np.interp(wanted, grid, variance)),
         )
 
-    @property
-    def _parameters(self) -> tuple[Array, float]:
-        estimate = self.estimate
-        return estimate.mean[: StateIndex.FRACTIONAL_ORDER], estimate.fractional_order
+    def _laws(self) -> list[_Law]:
+        """Return what the tissue may obey; the weights add up to 1."""
+        estimate, other = self.estimate, self.estimate.other_law
+        share = estimate.other_law_probability if other is not None else 0.0
+        laws = [
+            _Law(
+                1.0 - share,
+                estimate.mean,
+                estimate.covariance,
+                partial(LawAlong, self.geometry),
+                _SHOWN_RELAXATION,
+            )
+        ]
+        if other is not None:
+            made = partial(other_along, self.geometry, other)
+            laws.append(_Law(share, other.mean, other.covariance, made, _OTHERS_RELAXATION))
+        return [law for law in laws if law.weight > _UNLIKELY]
 
-    def _remembered(
-        self, grid: Array, path: _Path, logs: Array, order: float
-    ) -> tuple[Array, Array]:
-        """Return the stress while the probe holds still (n,), and what a change of phi adds."""
-        held = self.memory.held(np.append(_AT_ONCE, grid), logs, order)
-        remembered = held[1:] + self.stress - held[0]
+
+class _Law(NamedTuple):
+    """A law that the tissue may obey."""
+
+    weight: float  #: its probability [1]
+    mean: Array  #: of its parameters, shape (3,)
+    covariance: Array  #: of them, shape (3, 3)
+    made: Callable[[Array], Along]  #: the law of given parameters
+    #: Part of the kernel's stated deviation by which a relaxation that was shown changes [1].
+    shown: float
+
+
+@dataclass(frozen=True)
+class _LawAhead:
+    """What a law makes of a plan."""
+
+    tissue: Predictor
+    law: _Law
+    plan: _Plan
+
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean [Pa] and variance [Pa^2] of the stress, shape (n,) each."""
+        planned = self._stress(self.law.mean)
+        return planned, self._variance(planned) + self._left_out_variance(planned)
+
+    def _stress(self, parameters: Array, shift: float = 0.0) -> Array:
+        """Return the stress of the plan, (n,), by parameters; `shift`: of the present [Pa]."""
+        past, ahead = self._along(self.law.made(parameters))
+        ahead = ahead + self.tissue.stress + shift - (past[-1] if past.size else 0.0)
         if self._trend is not None:
-            slope = self._slope(self._trend.slope, logs, order)
-            remembered += self._trend.kept * slope * path.ahead.ageing
-        return remembered, _gains(np.append(0.0, grid), order)
+            slope = self._slope(self._trend.slope, past)
+            ahead += self._trend.kept * slope * self._loading.ageing
+        # Contact pushes and does not pull.
+        return np.maximum(ahead, 0.0)
 
-    def _slope(self, slope: Slope, logs: Array, order: float) -> float:
-        """Return dv/dlnA over the newest part of the hold [Pa]."""
-        return float(slope.weights @ self.memory.left_out(slope.points, logs, order))
+    def _along(self, law: Along) -> tuple[Array, Array]:
+        return self.tissue.memory.along(law, self.plan.times, self.plan.compressions)
+
+    def _slope(self, slope: Slope, past: Array) -> float:
+        """Return dv/dlnA over the newest part of the hold [Pa]; `past`: the law's stress there."""
+        instants, stresses = np.array(slope.points).T
+        left_out = stresses - np.interp(instants, self.tissue.memory.times, past)
+        return float(slope.weights @ left_out)
+
+    @cached_property
+    def _stiffness(self) -> Array:
+        """Stress by the displacement over the time of the surface's motion [Pa/m], (n + 1,)."""
+        elastic = self.law.made(self.law.mean).elastic(self.plan.strains)
+        return elastic.stiffness / self.tissue.geometry.length
+
+    @cached_property
+    def _loading(self) -> LoadingAhead:
+        """How the loading changes along the plan."""
+        elastic = self.law.made(self.law.mean).elastic(self.plan.strains)
+        steps = np.diff(self.plan.times, prepend=0.0)
+        return LoadingAhead.along(elastic.values, steps, self.tissue.estimate.mean_dwell_time)
 
     @cached_property
     def _trend(self) -> _Trend | None:
@@ -192,56 +245,47 @@ class Predictor:
         The stated deviation of the kernel is that of the slope before the hold: what noise and rig
         explain does not go on.
         """
-        slope = self.memory.slope(self.estimate.mean_dwell_time)
-        expected = (self.uncertainty.kernel_sd * self.stress) ** 2
+        tissue = self.tissue
+        slope = tissue.memory.slope(tissue.estimate.mean_dwell_time)
+        expected = (tissue.uncertainty.kernel_sd * tissue.stress) ** 2
         if slope is None or expected == 0.0:
             return None
-        elastic = elastic_responses(
-            np.array([self.memory.strain]), 1.0, self.estimate.nonlinear_stiffness
-        )
-        stiffness = self._relaxed * float(elastic.by_strain[0])
-        walk = float(self._rig_variance(np.array(stiffness)))
+        walk = float(self._rig_variance(self._stiffness[0]))
         weights = slope.weights
-        variance = self.innovation_variance * float(weights @ weights)
+        variance = tissue.innovation_variance * float(weights @ weights)
         variance += walk * float(weights @ np.minimum.outer(slope.times, slope.times) @ weights)
         return _Trend(slope, _KEPT * expected / (expected + variance), variance)
 
-    @property
-    def _relaxed(self) -> float:
-        """Stress by the displacement over the time of the surface's motion, at phi' = 1 [Pa/m]."""
-        estimate = self.estimate
-        factor = surface_factor(estimate.fractional_order)
-        return estimate.linear_stiffness * factor / self.geometry.length
-
-    def _path(self, grid: Array, strains: Array) -> _Path:
-        """Return how the loading changes along strains [1] at times [s], (n,) each."""
-        elastic = elastic_responses(
-            np.append(self.memory.strain, strains), 1.0, self.estimate.nonlinear_stiffness
-        )
-        steps = np.diff(grid, prepend=0.0)
-        ahead = LoadingAhead.along(elastic.value, steps, self.estimate.mean_dwell_time)
-        return _Path(steps, ahead, self._relaxed * elastic.by_strain[1:])
-
-    def _left_out_variance(self, path: _Path, stress: Array) -> Array:
+    def _left_out_variance(self, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
-        estimate, trend = self.estimate, self._trend
+        estimate, trend = self.tissue.estimate, self._trend
         if estimate.mean_dwell_time <= 0.0:
             return np.zeros_like(stress)
+        if not self._is_shown:
+            trend = None
         relaxation_error = self._relaxation_error if trend is None else 0.0
-        grown = path.ahead.left_out(stress, estimate.model_discrepancy, relaxation_error)
-        grown += self._rig_variance(path.stiffness) * path.steps
+        grown = self._loading.left_out(stress, estimate.model_discrepancy, relaxation_error)
+        steps = np.diff(self.plan.times, prepend=0.0)
+        grown += self._rig_variance(self._stiffness[1:]) * steps
         relaxation = (relaxation_error * stress) ** 2
         if trend is not None:
-            relaxation = (_SHOWN_RELAXATION * self.uncertainty.kernel_sd * stress) ** 2
-            relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, *self._parameters)) ** 2
+            relaxation = (self.law.shown * self.tissue.uncertainty.kernel_sd * stress) ** 2
+            past, _ = self._along(self.law.made(self.law.mean))
+            relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, past)) ** 2
             relaxation += trend.kept * trend.variance
-        return np.asarray(np.cumsum(grown) + path.ahead.ageing**2 * relaxation)
+        return np.asarray(np.cumsum(grown) + self._loading.ageing**2 * relaxation)
 
     def _rig_variance(self, stiffness: Array) -> Array:
         """Return by how much the variance of the rig's error grows in a second [Pa^2/s]."""
-        surface = stiffness * self.uncertainty.surface_motion_sd
-        drift = self.geometry.stress_per_force * self.uncertainty.force_drift_sd
+        uncertainty = self.tissue.uncertainty
+        surface = stiffness * uncertainty.surface_motion_sd
+        drift = self.tissue.geometry.stress_per_force * uncertainty.force_drift_sd
         return np.asarray(surface**2 + drift**2)
+
+    @property
+    def _is_shown(self) -> bool:
+        """Whether a hold has shown which law the relaxation has."""
+        return self.tissue.memory.has_held or self.tissue.estimate.other_law is not None
 
     @property
     def _relaxation_error(self) -> float:
@@ -249,26 +293,26 @@ class Predictor:
 
         The evidence so far may widen what is stated, not shrink it.
         """
-        stated, found = self.uncertainty.kernel_sd, self.estimate.law_error
-        unseen = _UNSEEN_RELAXATION * stated if found is None else found.kernel
-        return max(stated, KERNEL_SHARE * self.estimate.model_discrepancy, unseen)
+        estimate, stated = self.tissue.estimate, self.tissue.uncertainty.kernel_sd
+        found = max(stated, KERNEL_SHARE * estimate.model_discrepancy)
+        if not self._is_shown:
+            return max(found, _UNSEEN_RELAXATION * stated)
+        return max(found, estimate.law_error.kernel) if estimate.law_error is not None else found
 
-    def _variance(self, function: Callable[[Array, float, float], Array], value: Array) -> Array:
-        """Return the variance of a function of the parameters whose value is given."""
-        logs, order = self._parameters
-        step = _DERIVATIVE_STEP
-        noise = math.sqrt(self.innovation_variance)
-        by_g = (function(logs + np.array([step, 0.0]), order, 0.0) - value) / step
-        by_gn = (function(logs + np.array([0.0, step]), order, 0.0) - value) / step
-        by_order = (function(logs, order + _ORDER_STEP, 0.0) - value) / _ORDER_STEP
-        by_noise = function(logs, order, noise) - value
-        jacobian = np.stack([by_g, by_gn, by_order])
-        variance = np.einsum("in,ij,jn->n", jacobian, self.estimate.covariance, jacobian)
-        result: Array = np.maximum(variance, 0.0) + by_noise**2
+    def _variance(self, planned: Array) -> Array:
+        """Return the variance of the stress by the parameters and the present stress [Pa^2]."""
+        mean, noise = self.law.mean, math.sqrt(self.tissue.innovation_variance)
+        result = (self._stress(mean, noise) - planned) ** 2
+        values, axes = np.linalg.eigh(self.law.covariance)
+        for value, axis in zip(values, axes.T, strict=True):
+            if value > 0.0:
+                # Towards a curve that bends: where the other has no effect, that may have.
+                step = _DERIVATIVE_PART * math.sqrt(value) * math.copysign(1.0, axis[1]) * axis
+                result += ((self._stress(mean + step) - planned) / _DERIVATIVE_PART) ** 2
         return result
 
 
-def _plan(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
+def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     planned = np.atleast_1d(np.asarray(values, dtype=float))
     if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
@@ -276,7 +320,11 @@ def _plan(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
             f"plan: {instants.shape} times and {planned.shape} displacements; give as many of each"
         )
     steps = np.diff(instants, prepend=0.0)
-    if not (np.all(steps > 1e-5) and np.all(np.isfinite(planned)) and np.all(np.isfinite(steps))):
+    if not (
+        np.all(steps > SHORTEST_STEP)
+        and np.all(np.isfinite(planned))
+        and np.all(np.isfinite(steps))
+    ):
         raise InputError(
             "plan: times must increase from 0 by more than 10 µs each, and displacements be finite"
         )
@@ -291,11 +339,3 @@ def _grid(wanted: Array) -> Array:
         for start, stop in zip(np.append(0.0, wanted[:-1]), wanted, strict=True)
     ]
     return np.concatenate(parts)
-
-
-def _gains(knots: Array, order: float) -> Array:
-    """Return D^alpha at knots[1:] by the changes between the knots, linear in time: (n, n)."""
-    since = np.maximum(knots[1:, None] - knots[None, :], 0.0)
-    powers = since ** (1.0 - order)
-    gains: Array = (powers[:, :-1] - powers[:, 1:]) / np.diff(knots)
-    return gains / math.gamma(2.0 - order)

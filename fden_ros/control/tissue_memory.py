@@ -1,19 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The motion of the tissue at one site, remembered so that any Gn and alpha can be tried on it."""
+"""The motion of the tissue at one site, remembered so that any law can be tried on it."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 
 import numpy as np
 
-from fden_ros.control.left_out import Hold, Point, Slope
+from fden_ros.control.left_out import SHOWN_TIME, Hold, Slope
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import Estimate, LawAlong
-from fden_ros.core.law import SHORTEST_STEP, Geometry, StressMoments, creep_weights
+from fden_ros.core.estimation import Along, Estimate
+from fden_ros.core.law import Geometry, StressMoments, creep_weights
 
 #: Samples of a contact that are kept [1]: of more than that the older half is thinned out, so that
 #: what is long ago is coarse.
@@ -32,6 +31,8 @@ class TissueMemory:
     ----------
     strain : float
         Present strain [1]; 0 in the air.
+    has_held : bool
+        A hold has shown how the tissue relaxes.
     """
 
     def __init__(self, geometry: Geometry) -> None:
@@ -43,6 +44,7 @@ class TissueMemory:
         self._samples: list[tuple[float, float, float]] = []
         self._hold = Hold()
         self._time = self._stress = self.strain = 0.0
+        self.has_held = False
 
     @property
     def compression(self) -> float:
@@ -69,6 +71,7 @@ class TissueMemory:
         self.strain = strain
         if self._hold.is_due(step, strain):
             self._hold.keep(self._time, stress)
+        self.has_held |= self._hold.time >= SHOWN_TIME
 
     def rest(self, step: float) -> None:
         """Take `step` seconds in the air."""
@@ -88,39 +91,29 @@ class TissueMemory:
         free = float(creep_weights(estimate.fractional_order) @ moments.values)
         return estimate.is_above_surface(strain, free)
 
-    def held(self, times: Array, logs: Array, order: float) -> Array:
-        """Return the law's stress [Pa] while the probe holds still, shape (n,).
+    @property
+    def times(self) -> Array:
+        """Times of the samples of the present contact [s], shape (n,)."""
+        return np.array([sample[0] for sample in self._samples])
+
+    def along(self, law: Along, times: Array, compressions: Array) -> tuple[Array, Array]:
+        """Return a law's stress [Pa] at the samples of the contact, and while the motion goes on.
 
         Parameters
         ----------
+        law : Along
         times : ndarray, shape (n,)
-            Since the last sample [s], at least 10 us.
-        logs : ndarray, shape (2,)
-            ln G and ln Gn.
-        order : float
-            alpha [1].
+            Since the last sample [s], positive, increasing.
+        compressions : ndarray, shape (n,)
+            By then [1], linear in between.
         """
-        law = LawAlong(self._geometry, logs, order)
         past = np.array([sample[:2] for sample in self._samples]).reshape(-1, 2)
-        self._respond(law, past[:, 0], past[:, 1], order)
-        instants = self._time + np.maximum(times, SHORTEST_STEP)
-        rest = np.full(times.size, self.compression)
-        return self._respond(law, instants, rest, order, begin=self._time)
-
-    def _respond(
-        self,
-        law: LawAlong,
-        times: Array,
-        compressions: Array,
-        order: float,
-        begin: float | None = None,
-    ) -> Array:
-        """Return the law's stress [Pa] along a motion that goes on from `begin` [s]."""
-        if not times.size:
-            return np.zeros(0)
-        steps = np.diff(times, prepend=times[0] if begin is None else begin)
-        free = self._before.after(np.maximum(times - self._touched, 0.0))
-        return law.stress(steps, compressions, free @ creep_weights(order))
+        instants = np.append(past[:, 0], self._time + times)
+        motion = np.append(past[:, 1], compressions)
+        steps = np.diff(instants, prepend=past[0, 0] if past.size else self._time)
+        moments = self._before.after(np.maximum(instants - self._touched, 0.0))
+        stress = law.stress(steps, motion, moments)
+        return stress[: len(past)], stress[len(past) :]
 
     def slope(self, age: float) -> Slope | None:
         """Return how the slope of what the law leaves out follows from the present hold.
@@ -136,20 +129,3 @@ class TissueMemory:
             None where there is no hold, or too little of it was seen.
         """
         return self._hold.slope(self._time, age)
-
-    def left_out(self, points: Sequence[Point], logs: Array, order: float) -> Array:
-        """Return the stress less the law's at points of the present hold [Pa], shape (n,).
-
-        Parameters
-        ----------
-        points : sequence of Point
-        logs : ndarray, shape (2,)
-            ln G and ln Gn.
-        order : float
-            alpha [1].
-        """
-        times, compressions, _ = np.array(self._samples).T
-        law = LawAlong(self._geometry, logs, order)
-        own = self._respond(law, times, compressions, order)
-        instants, stresses = np.array(points).T
-        return np.asarray(stresses - np.interp(instants, times, own))

@@ -222,6 +222,7 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "prior_limit_parameters": list(estimate.at_edge.names) if estimate is not None else [],
         "covariance": estimate.covariance.tolist() if estimate is not None else None,
         "components": _components_object(estimate),
+        "other_law": _other_law_object(estimate),
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
@@ -251,6 +252,16 @@ def measured_object(measured: BothWays) -> dict[str, float | None]:
         for part in MEASURED_PARTS:
             found[f"{name}_{part}"] = getattr(slope, part, None)
     return found
+
+
+def _other_law_object(estimate: Estimate | None) -> dict[str, Any] | None:
+    """Return the likeliest other law with its parameters; null: none was asked for."""
+    other = estimate.other_law if estimate is not None else None
+    if other is None:
+        return None
+    found = other.parameters.items()
+    numbers = {name: {"value": value, "sd": sd} for name, (value, sd) in found}
+    return {"kind": other.kind.name.lower(), **numbers}
 
 
 def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:

@@ -11,7 +11,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fden_ros.core.estimation.ahead import LawAlong, LoadingAhead, kernel_change, surface_factor
+from fden_ros.core.estimation.ahead import (
+    Along,
+    LawAlong,
+    LoadingAhead,
+    kernel_change,
+    other_along,
+)
 from fden_ros.core.estimation.block import TOUCH_TIME
 from fden_ros.core.estimation.claims import (
     EDGE,
@@ -27,6 +33,8 @@ from fden_ros.core.estimation.estimate import (
     Budget,
     Estimate,
     LawError,
+    OtherLaw,
+    OtherLawKind,
     ParameterSet,
     StateIndex,
 )
@@ -67,6 +75,7 @@ __all__ = [
     "TOUCH_TIME",
     "UNSOLVABLE",
     "Advanced",
+    "Along",
     "Block",
     "Budget",
     "Component",
@@ -79,6 +88,8 @@ __all__ = [
     "LawError",
     "LoadingAhead",
     "Observation",
+    "OtherLaw",
+    "OtherLawKind",
     "ParameterSet",
     "Parts",
     "Points",
@@ -96,10 +107,10 @@ __all__ = [
     "kernel_change",
     "log_stiffness",
     "moments",
+    "other_along",
     "positive",
     "probability_beyond",
     "reserved",
-    "surface_factor",
 ]
 
 _LATER = {

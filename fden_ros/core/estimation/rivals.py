@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import expit
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import OtherLaw, OtherLawKind
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
@@ -30,7 +31,7 @@ from fden_ros.core.estimation.proposals import functions
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
-from fden_ros.core.estimation.unknowns import LOG_G, ORDER, Lifetime
+from fden_ros.core.estimation.unknowns import LAW, LOG_G, ORDER, Lifetime, order_of
 
 #: Prior of what takes alpha's place in a rival, and of the law's alpha: mean and standard
 #: deviation [1]. That of ln G is as wide as this for both, about what the record says [1]: what is
@@ -48,6 +49,7 @@ class Rival(NamedTuple):
     model: PressModel
     component: Component  #: its posterior
     deepest: float  #: largest compression of its record [1]
+    told: OtherLaw | None = None  #: as others predict by it; None: they cannot
 
 
 class Rivals(NamedTuple):
@@ -167,6 +169,28 @@ def rivals_of(question: Question) -> Parts[Rivals | None]:
     # What has not been asked can only make another law likelier.
     is_open = question.is_over and all(one.log_odds < 0.0 for one in found)
     return None if is_open else rivals
+
+
+def told(kind: OtherLawKind, component: Component, by_odds: float = 1.0) -> OtherLaw:
+    """Return a rival as it is told, without a rate; `order` is a part whose odds count, squared.
+
+    Parameters
+    ----------
+    kind : OtherLawKind
+    component : Component
+        Of the whole state.
+    by_odds : float
+        The third number that is told, by the squared odds.
+    """
+    mean, covariance = np.zeros(len(LAW) + 1), np.zeros((len(LAW) + 1, len(LAW) + 1))
+    part = order_of(component.mean)
+    factors = np.ones(len(LAW))
+    factors[ORDER] = 2.0 * by_odds * part / (1.0 - part) ** 3
+    mean[:-1] = component.mean[: len(LAW)]
+    mean[ORDER] = by_odds * (part / (1.0 - part)) ** 2
+    own = component.covariance[: len(LAW), : len(LAW)]
+    covariance[:-1, :-1] = own * np.outer(factors, factors)
+    return OtherLaw(kind, mean, covariance)
 
 
 def set_prior(posterior: Posterior, place: int, mean: float, sd: float) -> None:

@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import OtherLawKind
 from fden_ros.core.estimation.loops import ResponseState
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_model import Curve, Evaluation, PressModel
 from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.rivals import Law, Question, Rival, set_prior
+from fden_ros.core.estimation.rivals import Law, Question, Rival, set_prior, told
 from fden_ros.core.estimation.solution import cost_of
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, REFERENCE_STRAIN, splines
 from fden_ros.core.law import RATES
@@ -167,7 +168,9 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     if found is None:
         return None
     evidence = yield from law.log_evidence_of(posterior, found)
-    return law.against("Hunt-Crossley", evidence, own, found)
+    own_rival = law.against("Hunt-Crossley", evidence, own, found)
+    kind = OtherLawKind.HUNT_CROSSLEY
+    return own_rival._replace(told=told(kind, own_rival.component, 1.0 / fastest))
 
 
 def _start(question: Question) -> Array | None:

@@ -16,25 +16,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.estimate import OtherLaw, OtherLawKind
 from fden_ros.core.estimation.maxima import NEAR_BOUNDARY, boundary_of
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import BLOCK_TIME, Points
-from fden_ros.core.estimation.rivals import PART, Law, Question, Rival
+from fden_ros.core.estimation.rivals import PART, Law, Question, Rival, told
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
-from fden_ros.core.law import RATES, left_after, relaxation_weights
+from fden_ros.core.law import RATES, SPACING, left_after, relaxation_weights
 
 #: Rates of the rival: times the time since the touch of one that has just begun, and times that of
 #: a block of one that is over at once, as a dashpot's is [1].
 _SLOWEST, _FASTEST = 0.3, 10.0
 #: The fastest rates that are tried of a relaxation that is over at once [1].
 _AT_ONCE = 3
+#: Place of the logarithm of the rate in what is told, and its standard deviation where it is not
+#: found between two others, in steps of the rates [1]: it is within half a step.
+_LOG_RATE, _UNKNOWN_RATE = 3, 0.3
+#: Least r that has a logarithm [1].
+_LEAST = 1e-6
 
 
 class _Maxwell(PressModel):
@@ -62,17 +70,68 @@ class _Maxwell(PressModel):
         return weights, slopes
 
 
+class _Tried(NamedTuple):
+    """The solution of one rate."""
+
+    rate: int  #: its place
+    log_evidence: float
+    model: PressModel
+    solution: Solution
+
+    @property
+    def as_told(self) -> OtherLaw:
+        """Itself, as it is told, but for its rate."""
+        component = Component(1.0, self.solution.mean, self.solution.covariance)
+        return told(OtherLawKind.PLATEAU, component)
+
+
 def rival(question: Question, law: Law) -> Parts[Rival | None]:
     """Return it against the law; None: it has no solution."""
     rates = _rates(question)
     found = yield from _weighed(question, law, rates)
     if not found:
         return None
-    best, model, solution = max(found, key=lambda one: one[0])
+    best = max(found, key=lambda one: one.log_evidence)
     # A rate that was not tried has none: it can only be more.
-    total = sum(math.exp(evidence - best) for evidence, _, _ in found)
-    own = law.against("plateau", best + math.log(total / len(rates)), model, solution)
-    return own._replace(component=_component(question.points, model, solution))
+    total = float(logsumexp([one.log_evidence for one in found])) - math.log(len(rates))
+    own = law.against("plateau", total, best.model, best.solution)
+    component = _component(question.points, best.model, best.solution)
+    # A ramp does not show what is to come.
+    is_told = not question.at_once
+    return own._replace(
+        component=component, told=_told(found, best, component) if is_told else None
+    )
+
+
+def _told(found: list[_Tried], best: _Tried, component: Component) -> OtherLaw:
+    """Return it as it is told: of the rate between those tried at which a parabola is highest.
+
+    `component`: that of the best.
+    """
+    covariance = component.covariance.copy()
+    # Deeper than the record it may bend.
+    covariance[LOG_GN, LOG_GN] = best.solution.covariance[LOG_GN, LOG_GN]
+    own = told(OtherLawKind.PLATEAU, component._replace(covariance=covariance))
+    own.mean[_LOG_RATE] = math.log(RATES[best.rate])
+    beside = {one.rate - best.rate: one for one in found if abs(one.rate - best.rate) == 1}
+    shift, sd, side = 0.0, _UNKNOWN_RATE, 1
+    along = np.zeros_like(own.mean)
+    if beside:
+        side = max(beside, key=lambda place: beside[place].log_evidence)
+        # From rate to rate G and r are nearly powers of it.
+        ends = (one.as_told.mean for one in (best, beside[side]))
+        before, after = (np.append(mean[:LOG_GN], np.log(mean[ORDER] + _LEAST)) for mean in ends)
+        along[[LOG_G, ORDER]] = after - before
+        along[ORDER] *= own.mean[ORDER]
+    if len(beside) == 2:
+        below, above = (best.log_evidence - beside[place].log_evidence for place in (-1, 1))
+        misfit = max(float(np.mean(best.solution.residuals**2)), 1.0)
+        shift = abs(0.5 * (below - above) / (below + above))
+        sd = min(math.sqrt(misfit / (below + above)), _UNKNOWN_RATE)
+    along[_LOG_RATE] = side * SPACING
+    return own._replace(
+        mean=own.mean + shift * along, covariance=own.covariance + sd**2 * np.outer(along, along)
+    )
 
 
 def _component(points: Points, model: PressModel, solution: Solution) -> Component:
@@ -99,10 +158,8 @@ def _rates(question: Question) -> list[int]:
     return found
 
 
-def _weighed(
-    question: Question, law: Law, rates: list[int]
-) -> Parts[list[tuple[float, PressModel, Solution]]]:
-    """Return log evidence, model and solution of the rates that have one."""
+def _weighed(question: Question, law: Law, rates: list[int]) -> Parts[list[_Tried]]:
+    """Return the rates that have a solution."""
     at, scales = question.start, law.straight.best_scales
     order = float(at[ORDER])
     # The stress after the time seen is about the same.
@@ -110,7 +167,7 @@ def _weighed(
     order_of_law = question.posterior.model.order(at)
     at[ORDER] = PART
     at[LOG_G] += math.log(max(now, 1e-9))
-    found: list[tuple[float, PressModel, Solution]] = []
+    found: list[_Tried] = []
     evidences: dict[int, float] = {}
     for rate in _coarse_to_fine(rates, evidences):
         posterior = question.straight(_Maxwell, at)
@@ -120,7 +177,7 @@ def _weighed(
         solved = yield from question.solved(posterior, at, scales)
         if solved is not None:
             evidences[rate] = yield from law.log_evidence_of(posterior, solved)
-            found.append((evidences[rate], posterior.model, solved))
+            found.append(_Tried(rate, evidences[rate], posterior.model, solved))
             at, scales = solved.maximum.state, solved.best_scales
         if question.is_over:
             break
