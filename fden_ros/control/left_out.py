@@ -25,8 +25,6 @@ from fden_ros.core.arrays import Array
 
 #: A hold lasts while the strain stays within this part of where it began [1].
 _HOLD_PART = 0.02
-#: A hold of this time shows the relaxation [s].
-SHOWN_TIME = 1.5
 #: Points are kept from this time in the hold on [s], as far apart as this part of it [1], and as
 #: many of them at most.
 _FIRST_POINT, _SPACING, _MOST_POINTS = 0.1, 0.04, 24

@@ -9,7 +9,7 @@ import copy
 
 import numpy as np
 
-from fden_ros.control.left_out import SHOWN_TIME, Hold, Slope
+from fden_ros.control.left_out import Hold, Slope
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import Along, Estimate
 from fden_ros.core.law import Geometry, StressMoments, creep_weights
@@ -31,8 +31,8 @@ class TissueMemory:
     ----------
     strain : float
         Present strain [1]; 0 in the air.
-    has_held : bool
-        A hold has shown how the tissue relaxes.
+    longest_hold : float
+        That the site has borne [s].
     """
 
     def __init__(self, geometry: Geometry) -> None:
@@ -44,7 +44,7 @@ class TissueMemory:
         self._samples: list[tuple[float, float, float]] = []
         self._hold = Hold()
         self._time = self._stress = self.strain = 0.0
-        self.has_held = False
+        self.longest_hold = 0.0
 
     @property
     def compression(self) -> float:
@@ -71,7 +71,7 @@ class TissueMemory:
         self.strain = strain
         if self._hold.is_due(step, strain):
             self._hold.keep(self._time, stress)
-        self.has_held |= self._hold.time >= SHOWN_TIME
+        self.longest_hold = max(self.longest_hold, self._hold.time)
 
     def rest(self, step: float) -> None:
         """Take `step` seconds in the air."""
