@@ -37,8 +37,9 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Record
 from fden_ros.core.estimation.scales import scales_of
+from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
+from fden_ros.core.estimation.unknowns import Unknown, unknowns_of
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, phi
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fden_ros.core.estimation.ahead import LawAlong, LoadingAhead, kernel_change, surface_factor
-from fden_ros.core.estimation.block import TOUCH_TIME
+from fden_ros.core.estimation.block import TOUCH_TIME, Points
 from fden_ros.core.estimation.claims import (
     EDGE,
     Reservations,
@@ -42,7 +42,6 @@ from fden_ros.core.estimation.estimator_config import (
 from fden_ros.core.estimation.learned_scales import drift_evidence
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import Advanced, Parts, ended
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY

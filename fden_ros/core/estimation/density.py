@@ -14,21 +14,20 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
 from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.parts import Limit
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.unknowns import (
+from fden_ros.core.estimation.smooth_errors import (
     CHARACTERISTIC_KNOTS,
     KERNEL_KNOTS,
-    LOG_GN,
     FieldPrior,
-    Lifetime,
     characteristic_prior,
     kernel_prior,
 )
+from fden_ros.core.estimation.unknowns import LOG_GN, Lifetime
 
 #: Degrees of freedom of what is stated of a rig [1].
 _TAIL_DEGREES = 2.0

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 from scipy.special import logsumexp
 
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.search import Search, Solved
 from fden_ros.core.estimation.solution import cost_of, evidence_under
 

@@ -28,11 +28,12 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.loops import WalkState
 from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME, Points
-from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
+from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
+from fden_ros.core.estimation.unknowns import LOG_G
 from fden_ros.core.law import apparent_stiffness_factor
 
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and

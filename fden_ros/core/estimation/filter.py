@@ -26,11 +26,11 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import DRIFT, ErrorModel, Errors
 from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.law import MAX_EXPONENT
 

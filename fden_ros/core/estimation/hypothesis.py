@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, merged, weights_of, with_held
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rivals import Rival, Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN, Unknown
@@ -125,7 +125,6 @@ class Hypothesis:
         if points.path is not None:
             times, compressions, speeds = points.path
             moved = replace(moved, path=(times, compressions + shift, speeds))
-        moved.__dict__["moments"] = points.moments  # by the times alone
         return moved
 
     def with_event(self, event: Unknown) -> Hypothesis:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Budget
@@ -23,7 +24,7 @@ from fden_ros.core.estimation.posterior import UNSOLVABLE as UNSOLVABLE
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points, Record
+from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved

@@ -12,8 +12,9 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.smooth_errors import KERNEL_HATS, splines
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, splines
+from fden_ros.core.estimation.unknowns import ORDER
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
 
 #: Places in time and strain at which the errors are read off [1].

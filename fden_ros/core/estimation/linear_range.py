@@ -21,8 +21,8 @@ import math
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import log_phi
 

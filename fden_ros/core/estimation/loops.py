@@ -40,9 +40,6 @@ except ImportError as missing:
 if _compiled.VERSION != _VERSION:
     raise ImportError(f"{_MEND} again: its compiled part is of version {_compiled.VERSION}")
 
-#: Strain about which the splines of the characteristic's error become wider, over that of their
-#: last knot [1]; in `compiled/response.c` too.
-NEAR = 0.1
 #: What of the law a column of derivatives is by; in `compiled/loops.h` too.
 BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
 

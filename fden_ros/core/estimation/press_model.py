@@ -13,6 +13,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.loops import (
     BY_FIRST_KNOT,
     Columns,
@@ -20,19 +21,9 @@ from fden_ros.core.estimation.loops import (
     ResponseState,
     Steps,
 )
-from fden_ros.core.estimation.press_motion import PressMotion
-from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.smooth_errors import CHARACTERISTIC_KNOTS, KERNEL_HATS, KERNEL_KNOTS
 from fden_ros.core.estimation.tissue_surface import FreeSurface, TissueSurface
-from fden_ros.core.estimation.unknowns import (
-    CHARACTERISTIC_KNOTS,
-    KERNEL_HATS,
-    KERNEL_KNOTS,
-    LOG_G,
-    LOG_GN,
-    ORDER,
-    Unknown,
-    order_of,
-)
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, PressMotion, Unknown, order_of
 from fden_ros.core.law import (
     MAX_EXPONENT,
     Geometry,

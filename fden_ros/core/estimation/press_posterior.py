@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from fden_ros.core.estimation.block import Block, Sample
+from fden_ros.core.estimation.block import Block, Points, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.epoch import Weighed, keep_shares, kept, solved_together, taken_over
 from fden_ros.core.estimation.estimator import Innovation
@@ -27,7 +27,6 @@ from fden_ros.core.estimation.mixture import weights_of
 from fden_ros.core.estimation.parts import Advanced
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
 from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.whiteness import NO_CHANCE

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
@@ -19,9 +20,9 @@ from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals import functions
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
+from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.estimation.unknowns import (
     LAW,
@@ -29,7 +30,6 @@ from fden_ros.core.estimation.unknowns import (
     ORIGIN,
     Lifetime,
     Unknown,
-    strain_range,
     unknowns_of,
 )
 from fden_ros.core.law import Geometry

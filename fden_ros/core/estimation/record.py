@@ -17,29 +17,26 @@ Between all points the motion is linear.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.approach import ApproachMotion
 from fden_ros.core.estimation.block import (
+    BLOCK_TIME,
     LINE_TOLERANCE,
     SAME_TIME,
     TOUCH_TIME,
     Block,
     Cell,
+    Points,
     Sample,
 )
 
-#: Time of a block [s]: twice this costs a factor of 3 at a noise of 0.1 mN (test_core_record).
-BLOCK_TIME = 0.01
 #: Above 1 kHz the samples near the touch are blocks of this time [s].
 _LEAST_BLOCK = 1e-3
 #: Noise of the compression above which a sample alone tells nothing of the touch [1].
@@ -61,95 +58,6 @@ _BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
-
-
-@dataclass(frozen=True)
-class Points:
-    """A record as arrays: `n` points of the motion, `m` blocks observed."""
-
-    #: [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the fourth the speeds
-    #: as far as they are above their noise, the last the changes of the speed there, (n,).
-    times: Array
-    elapsed: Array
-    compressions: Array
-    speeds: Array
-    bends: Array
-    steps: Array  #: longest time between samples beside a point [s], (n,)
-    #: Points of the blocks, (m,).
-    first: Indices
-    last: Indices
-    #: Mean times [s], durations [s], samples [1], mean stresses [Pa], (m,).
-    middles: Array
-    durations: Array
-    counts: Array
-    stresses: Array
-
-    #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
-    path: tuple[Array, Array, Array] | None = None
-    #: Change of the compressions by the delay that has moved them [1/s]; None: none has.
-    rates: Array | None = None
-
-    def earlier(self, delay: float, touch_speed: float) -> Points:
-        """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
-
-        Beyond its ends the motion goes on as there. It is the mean over a block, so that a
-        solution can follow its derivative past the points.
-        """
-        own = self.times, self.compressions, self.speeds
-        path = self.path if self.path is not None else own
-        at, half = self.times + delay, 0.5 * BLOCK_TIME
-        before, after = _along(path, at - half), _along(path, at + half)
-        found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
-        # From the block before to the one behind, so that their errors follow the delay smoothly.
-        earlier, later = (_along(path, at + way * half).value for way in (-3.0, 3.0))
-        bends = np.abs(later - after.value - before.value + earlier) / BLOCK_TIME
-        # It may bend anywhere between two points.
-        steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
-        moved = replace(
-            self,
-            compressions=found,
-            speeds=np.interp(at, path[0], path[2]),
-            bends=bends,
-            steps=steps,
-            rates=(after.value - before.value) / BLOCK_TIME,
-        )
-        moved.__dict__["moments"] = self.moments  # by the times alone
-        return moved
-
-    @functools.cached_property
-    def met(self) -> NDArray[np.intp]:
-        """The first point that each block meets, the one after those of the block before, (m,)."""
-        return np.append(self.first[:1], self.last[:-1] + 1)
-
-    @functools.cached_property
-    def moments(self) -> Array:
-        """Moments of the steps that end at the points, (n, 4, RATES)."""
-        return loops.moments(self.elapsed)
-
-    def mean(self, values: Array) -> Array:
-        """Return the means over the blocks of values at the points, shape (..., m)."""
-        result: Array = 0.5 * (values[..., self.first] + values[..., self.last])
-        return result
-
-
-class _Along(NamedTuple):
-    """A motion at some times."""
-
-    value: Array  #: compressions [1]
-    integral: Array  #: of them over the time [s]
-
-
-def _along(path: tuple[Array, Array, Array], at: Array) -> _Along:
-    """Return a motion, linear between its points and beyond its ends."""
-    times, values, speeds = path
-    slopes = np.concatenate([speeds[:1], np.diff(values) / np.diff(times), speeds[-1:]])
-    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
-    until = np.concatenate([[0.0], np.cumsum(areas)])
-    segment = np.searchsorted(times, at, side="right")
-    begin = np.maximum(segment - 1, 0)
-    since, slope = at - times[begin], slopes[segment]
-    value = values[begin] + slope * since
-    return _Along(value, until[begin] + 0.5 * (values[begin] + value) * since)
 
 
 class Record:
@@ -443,6 +351,7 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
         durations=(duration + step)[observed],
         counts=count[observed],
         stresses=stress[observed],
+        moments=loops.moments(elapsed),
     )
 
 

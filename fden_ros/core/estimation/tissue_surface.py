@@ -15,17 +15,9 @@ from typing import Any
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.press_motion import PressMotion
-from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.unknowns import (
-    KERNEL_HATS,
-    LOG_G,
-    LOG_GN,
-    ORDER,
-    Unknown,
-    order_of,
-    splines,
-)
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.smooth_errors import KERNEL_HATS, splines
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, PressMotion, Unknown, order_of
 from fden_ros.core.law import (
     RATES,
     Geometry,

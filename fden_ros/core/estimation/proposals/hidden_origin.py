@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 

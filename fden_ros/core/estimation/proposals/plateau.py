@@ -20,11 +20,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.maxima import NEAR_BOUNDARY, boundary_of
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.rivals import PART, Law, Question, Rival
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
