@@ -16,9 +16,9 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
-from fden_ros.core.estimation.loops import WalkState
+from fden_ros.core.estimation.loops import Evaluation, WalkState
 from fden_ros.core.estimation.parts import Limit
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.smooth_errors import (
     CHARACTERISTIC_KNOTS,

@@ -30,8 +30,8 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.estimation.loops import WalkState
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
+from fden_ros.core.estimation.loops import Evaluation, WalkState
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
 from fden_ros.core.estimation.unknowns import LOG_G
 from fden_ros.core.law import apparent_stiffness_factor

@@ -18,11 +18,11 @@ from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maxima import Solutions, completed, find_maxima
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE as UNSOLVABLE
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge

@@ -113,15 +113,6 @@ class Steps(NamedTuple):
         return cls(durations, moments(durations), places, places)
 
 
-class Response(NamedTuple):
-    """The response of the law."""
-
-    stress: Array  #: of the blocks (blocks,) [Pa]
-    jacobian: Array  #: (blocks, columns)
-    elastic: Array  #: the elastic response at the points, (points,)
-    slope: Array  #: its derivative by the compression, (points,)
-
-
 @dataclass
 class ResponseState:
     """What the response and its derivatives go on from; made anew for each evaluation."""
@@ -132,6 +123,18 @@ class ResponseState:
 
     def __post_init__(self) -> None:
         self.values = np.zeros((self.columns + 1) * (RATE_COUNT + 3) + 5)
+
+
+class Evaluation(NamedTuple):
+    """The stress of a press at one state, with its derivatives."""
+
+    stress: Array  #: of the blocks [Pa], (blocks,)
+    jacobian: Array  #: shape (blocks, columns)
+    #: Elastic response at the points [Pa s^alpha], and its derivative by the compression,
+    #: (points,).
+    elastic: Array
+    slope: Array
+    state: ResponseState  #: from which the response goes on
 
 
 @dataclass
@@ -162,7 +165,7 @@ def respond(
     surface: Array | None,
     columns: Columns | None,
     state: ResponseState,
-) -> Response:
+) -> Evaluation:
     """Return the stress of every block with its derivatives.
 
     Parameters
@@ -194,7 +197,7 @@ def respond(
     if not is_finite:
         raise FloatingPointError("the response of the law is not finite")
     state.is_begun |= compressions.size > 0
-    return Response(stress, jacobian, elastic, slope)
+    return Evaluation(stress, jacobian, elastic, slope, state)
 
 
 def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:

@@ -24,8 +24,8 @@ from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Density
 from fden_ros.core.estimation.error_model import Errors
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER

@@ -19,10 +19,9 @@ from scipy.special import logsumexp
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
 from fden_ros.core.estimation.mixture import Component, collapsed, normalized
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, is_sound
 from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
-from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.estimation.unknowns import Lifetime
 
 #: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight

@@ -18,10 +18,11 @@ from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Belief, Density
 from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maximum import MOST_STEPS, Maximum, MaximumSearch
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.solution import (
     Solution,

@@ -18,12 +18,11 @@ from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.proposals import functions
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.smooth_errors import strain_range
-from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.estimation.unknowns import (
     LAW,
     LINEAR_DELAY,

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.loops import ResponseState
+from fden_ros.core.estimation.loops import Evaluation, ResponseState
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
-from fden_ros.core.estimation.press_model import Curve, Evaluation, PressModel
+from fden_ros.core.estimation.press_model import Curve, PressModel
 from fden_ros.core.estimation.rivals import Law, Question, Rival, set_prior
 from fden_ros.core.estimation.smooth_errors import REFERENCE_STRAIN, splines
 from fden_ros.core.estimation.solution import cost_of

@@ -19,10 +19,10 @@ from scipy.special import log_ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_GN
 
