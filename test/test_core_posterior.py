@@ -134,7 +134,8 @@ def posterior_of(
     mean[: len(unknowns)] = [u.mean for u in unknowns]
     places = np.arange(len(unknowns))
     precision[places, places] = [u.unit**-2.0 for u in unknowns]
-    errors = ErrorModel(model, uncertainty, Noise(press.noise, press.motion_noise))
+    noise = Noise(press.noise, press.motion_noise)
+    errors = ErrorModel(GEOMETRY, uncertainty, noise, model.conditions)
     grid = scales_of(uncertainty)
     return Posterior(model, errors, Belief(mean, precision), grid, has_field_prior=is_bent)
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Solved
@@ -44,17 +43,9 @@ _LEFT: Mapping[str, tuple[int, float]] = {
 }
 
 
-def budget_of(setting: PressSetting, solved: Solved, compression_sd: float) -> Budget:
-    """Return the budget of a solution of a press.
-
-    Parameters
-    ----------
-    setting : PressSetting
-    solved : Solved
-    compression_sd : float
-        Standard deviation of a sample's compression [1].
-    """
-    whole = _Press(setting, solved, compression_sd)
+def budget_of(setting: PressSetting, solved: Solved) -> Budget:
+    """Return the budget of a solution of a press."""
+    whole = _Press(solved)
     variances = whole.without("")
     thickness = setting.config.uncertainty.thickness_sd**2
     parts = {name: _part(variances, whole.without(name)) for name in SOURCES}
@@ -77,27 +68,25 @@ def _part(whole: Array, without: Array) -> tuple[float, float]:
 class _Press:
     """The posterior about the best maximum, of which single sources can be made known."""
 
-    def __init__(self, setting: PressSetting, solved: Solved, compression_sd: float) -> None:
+    def __init__(self, solved: Solved) -> None:
         maximum = solved.best.maximum
         self._model, self._known = solved.model, solved.posterior.known
         self._rows, self._errors = maximum.evaluation.jacobian, maximum.errors
         self._scales = maximum.scales
         self._precision = solved.posterior.precision(maximum.state, maximum.scales)
-        self._noise = Noise(setting.stress_sd, compression_sd, setting.zero_sd)
-        self._uncertainty = setting.config.uncertainty
+        self._error_model = solved.posterior.error_model
 
     def without(self, source: str) -> Array:
         """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
-        errors, noise = self._errors, self._noise
+        errors, error_model = self._errors, self._error_model
         if source in _LEFT:
             row, left = _LEFT[source]
             rows = errors.rows.copy()
             rows[row] *= left
             errors = replace(errors, rows=rows)
         if source == "drift":
-            noise = replace(noise, zero=0.0)
+            error_model = replace(error_model, noise=replace(error_model.noise, zero=0.0))
         roughness = 0.0 if source == "law" else self._scales.roughness
-        error_model = ErrorModel(self._model, self._uncertainty, noise)
         white = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
         normal = white.T @ white + self._precision
         return np.array([self._variance(normal, k, source) for k in (LOG_G, LOG_GN)])

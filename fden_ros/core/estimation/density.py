@@ -29,6 +29,8 @@ from fden_ros.core.estimation.smooth_errors import (
 )
 from fden_ros.core.estimation.unknowns import LOG_GN, Lifetime
 
+#: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
+EVALUATION_COST = 150
 #: Degrees of freedom of what is stated of a rig [1].
 _TAIL_DEGREES = 2.0
 
@@ -125,6 +127,18 @@ class Linear(NamedTuple):
     square: float  #: r^T S^-1 r
     log_determinant: float  #: of the residuals' covariance
     walk: WalkState  #: the walks at the end of the record
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """A maximum of the posterior at given scales."""
+
+    state: Array  #: shape (n,)
+    evaluation: Evaluation  #: of the model there
+    errors: Errors  #: the error processes there
+    scales: Scales
+    is_solved: bool  #: it wants no further step
+    is_at_bound: bool = False  #: alpha is at an end of what there is, and wants beyond
 
 
 class Density:

@@ -21,6 +21,7 @@ last term depends on the sampling.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,10 +32,9 @@ from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.loops import Evaluation, WalkState
-from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
 from fden_ros.core.estimation.unknowns import LOG_G
-from fden_ros.core.law import apparent_stiffness_factor
+from fden_ros.core.law import Geometry, apparent_stiffness_factor
 
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
@@ -95,21 +95,16 @@ class Errors:
         return Errors(rows, self.loading)
 
 
+@dataclass(frozen=True)
 class ErrorModel:
-    """The error processes of one press.
+    """The error processes of one press."""
 
-    Parameters
-    ----------
-    model : PressModel
-    uncertainty : Uncertainty
-    noise : Noise
-    """
-
-    def __init__(self, model: PressModel, uncertainty: Uncertainty, noise: Noise) -> None:
-        self._model, self._noise = model, noise
-        geometry = model.geometry
-        self._drift = (geometry.stress_per_force * uncertainty.force_drift_sd) ** 2
-        self._motion = (uncertainty.surface_motion_sd / geometry.length) ** 2
+    geometry: Geometry
+    uncertainty: Uncertainty
+    noise: Noise
+    #: A record and a state to the record with its motion moved, the order of the relaxation, and
+    #: the sizes and times of changes: those of the press's model.
+    conditions: Callable[[Points, Array], tuple[Points, float, tuple[Array, Array]]]
 
     def errors(
         self, points: Points, state: Array, found: Evaluation, before: Loading | None = None
@@ -118,14 +113,16 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        points, order = self._model.motion.moved(points, state), self._model.order(state)
+        points, order, changes = self.conditions(points, state)
+        drift = (self.geometry.stress_per_force * self.uncertainty.force_drift_sd) ** 2
+        motion = (self.uncertainty.surface_motion_sd / self.geometry.length) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
         # An age of less than a block counts as none.
         numbers = np.array(
             [
-                *(self._noise.stress**2, self._noise.compression),
+                *(self.noise.stress**2, self.noise.compression),
                 *(order, 1.0 / math.gamma(1.0 - order)),
-                *(self._drift, self._motion, apparent_stiffness_factor(order, SURFACE_TIME)),
+                *(drift, motion, apparent_stiffness_factor(order, SURFACE_TIME)),
                 *(_CORNER, _SHORTEST, floor, BLOCK_TIME),
             ]
         )
@@ -134,13 +131,13 @@ class ErrorModel:
         loops.errors(
             found.elastic, found.slope, found.stress, points.first, points.last, points.met,
             points.counts, points.durations, points.middles, points.steps, points.bends,
-            *self._model.surface.changes(state), numbers, loading, rows,
+            *changes, numbers, loading, rows,
         )  # fmt: skip
         return Errors(rows, Loading(*loading.tolist()))
 
     def walk(self, columns: int) -> WalkState:
         """Return the walks before the first block; `columns`: of rows that see them."""
-        return WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
+        return WalkState(np.array([self.noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
 
     def whitened(self, rows: Array, errors: Errors, roughness: float, motion: float) -> Array:
         """Return rows (m, k) as independent and of variance 1."""

@@ -74,20 +74,9 @@ class ImaginedPress:
             0.0,
             RigKnowledge.stated(config),
         )
-        self._compression_sd = compression_sd
         self._strain = geometry.strain(deepest)
-        self._posterior = self._given(deepest, mean, covariance)
-
-    def _given(self, deepest: float, mean: Array, covariance: Array) -> Posterior:
-        """Return the posterior, with what is known of the tissue for a prior."""
-        posterior = self._setting.posterior((), self._compression_sd, deepest)
-        means, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
-        means[_LAW] = mean
-        unknown = np.flatnonzero(covariance.diagonal() > 0.0)
-        block = np.ix_(unknown, unknown)
-        precision[block] = np.linalg.inv(covariance[block])
-        posterior.belief = Belief(means, precision)
-        return posterior
+        posterior = self._setting.posterior((), compression_sd, deepest)
+        self._posterior = _given(posterior, mean, covariance)
 
     def _state(self, tissue: Array) -> Array:
         state: Array = self._posterior.belief.mean.copy()
@@ -178,7 +167,18 @@ class ImaginedPress:
     def budget(self, solutions: Solutions) -> Budget:
         """Return what makes the estimate of a solution uncertain."""
         solved = Solved(self._posterior, solutions, None, False)
-        return budget_of(self._setting, solved, self._compression_sd)
+        return budget_of(self._setting, solved)
+
+
+def _given(posterior: Posterior, mean: Array, covariance: Array) -> Posterior:
+    """Return a posterior with what is known of the tissue for a prior."""
+    means, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
+    means[_LAW] = mean
+    unknown = np.flatnonzero(covariance.diagonal() > 0.0)
+    block = np.ix_(unknown, unknown)
+    precision[block] = np.linalg.inv(covariance[block])
+    posterior.belief = Belief(means, precision)
+    return posterior
 
 
 def imagined_record(

@@ -16,10 +16,10 @@ from scipy.special import logsumexp
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.density import Belief, Density
+from fden_ros.core.estimation.density import Belief, Density, Maximum
 from fden_ros.core.estimation.error_model import ErrorModel
 from fden_ros.core.estimation.loops import Evaluation
-from fden_ros.core.estimation.maximum import MOST_STEPS, Maximum, MaximumSearch
+from fden_ros.core.estimation.maximum import MOST_STEPS, MaximumSearch
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel

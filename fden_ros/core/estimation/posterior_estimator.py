@@ -216,7 +216,7 @@ class PosteriorEstimator(Estimator):
         press = self.press
         if press is None or press.solved is None or press.best.misses:
             return None
-        return budget_of(press.setting, press.solved, press.intake.compression_sd)
+        return budget_of(press.setting, press.solved)
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""

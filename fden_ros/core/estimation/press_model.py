@@ -281,6 +281,13 @@ class PressModel:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
         return order_of(state)
 
+    def conditions(
+        self, points: Points, state: Array
+    ) -> tuple[Points, float, tuple[Array, Array]]:
+        """Return what the errors of a record meet at a state: see :class:`ErrorModel`."""
+        moved = self.motion.moved(points, state)
+        return moved, self.order(state), self.surface.changes(state)
+
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)

@@ -200,7 +200,7 @@ class PressSetting:
                 grid = carried_scales(config.uncertainty)
         return Posterior(
             model,
-            ErrorModel(model, config.uncertainty, noise),
+            ErrorModel(self.geometry, config.uncertainty, noise, model.conditions),
             belief,
             grid,
             has_field_prior=has_fields and self.is_bent,

@@ -14,6 +14,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import EVALUATION_COST
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maxima import (
@@ -22,7 +23,6 @@ from fden_ros.core.estimation.maxima import (
     find_maxima,
     follow_maxima,
 )
-from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior

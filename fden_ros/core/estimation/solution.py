@@ -22,10 +22,9 @@ from scipy.special import log_ndtr
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.density import Density, Linear
+from fden_ros.core.estimation.density import EVALUATION_COST, Density, Linear, Maximum
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.loops import WalkState
-from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 from fden_ros.core.estimation.unknowns import ORDER
