@@ -102,7 +102,6 @@ def determined(
 
     Parameters
     ----------
-    config : EstimatorConfig
     deviations : ndarray, shape (3,)
         Standard deviations of (ln G, ln Gn, alpha) [1].
     probability_beyond_boundary : float

@@ -146,9 +146,6 @@ class Density:
 
     Parameters
     ----------
-    model : PressModel
-    error_model : ErrorModel
-    belief : Belief
     has_field_prior : bool
         The law's errors have the priors of the scales, not that of the belief.
     """

@@ -52,12 +52,6 @@ class Update(NamedTuple):
 class PressFilter:
     """Goes on from a solution, block by block.
 
-    Parameters
-    ----------
-    solution : Solution
-    model : PressModel
-    error_model : ErrorModel
-
     Attributes
     ----------
     x, P : ndarray, shapes (n + 2,), (n + 2, n + 2)

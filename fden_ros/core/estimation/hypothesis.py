@@ -52,7 +52,6 @@ class Hypothesis:
 
     Parameters
     ----------
-    past : Past
     setting : PressSetting
         What is known before the first sample.
     events : tuple of Unknown
@@ -159,7 +158,6 @@ class Hypothesis:
 
         Parameters
         ----------
-        solved : Solved
         log_evidence : float
             Of all of it, for what was known before the record.
         """

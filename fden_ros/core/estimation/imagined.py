@@ -39,8 +39,6 @@ class ImaginedPress:
 
     Parameters
     ----------
-    config : EstimatorConfig
-    geometry : Geometry
     stress_sd, zero_sd, compression_sd : float
         Standard deviations of a sample's stress [Pa], of its zero [Pa], of its compression [1].
     origin_sd : float
@@ -106,7 +104,6 @@ class ImaginedPress:
 
         Parameters
         ----------
-        points : Points
         tissue : ndarray, shape (3,)
         evaluation : Evaluation
             Of these; its derivative by the origin is scaled.
@@ -116,7 +113,6 @@ class ImaginedPress:
             That the touch shows, in place of that of the press [1].
         observed : int
             Blocks that are observed.
-        presses : int
 
         Returns
         -------
@@ -150,7 +146,6 @@ class ImaginedPress:
 
         Parameters
         ----------
-        points : Points
         tissue : ndarray, shape (3,)
             From which the search begins.
         stress : ndarray, shape (blocks,)

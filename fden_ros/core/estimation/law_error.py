@@ -30,7 +30,6 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
 
     Parameters
     ----------
-    solution : Solution
     model : PressModel
         Of which it is a solution.
     seen : tuple of float

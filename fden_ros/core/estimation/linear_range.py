@@ -32,8 +32,6 @@ class LinearRange:
 
     Parameters
     ----------
-    model : PressModel
-    points : Points
     about : ndarray, shape (size,)
     age : float
         Mean time since the loading was built up [s].

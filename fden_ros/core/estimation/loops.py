@@ -170,13 +170,10 @@ def respond(
 
     Parameters
     ----------
-    law : LawState
-    steps : Steps
     compressions : ndarray, shape (points,)
         [1].
     surface : ndarray or None, shape (points,)
         The tissue's free surface, in the unit of the elastic response; None: at 0.
-    columns : Columns or None
     state : ResponseState
         Is brought to the last point.
 
@@ -284,7 +281,6 @@ def follow(
 
     Parameters
     ----------
-    blocks : Followed
     errors, roughness, motion
         As :func:`whiten` takes them.
     mean : ndarray, shape (n + 2,)
@@ -334,7 +330,6 @@ def weigh(scaled: Scaled, places: Array) -> Array:
 
     Parameters
     ----------
-    scaled : Scaled
     places : ndarray, shape (places, 2)
         Scales a and b; places of the same a stand together.
 

@@ -80,7 +80,6 @@ def collapsed(
 
     Parameters
     ----------
-    components : sequence of Component
     most : int
         Gaussians that are left at most.
     alike : float

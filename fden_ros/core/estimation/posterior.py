@@ -45,10 +45,6 @@ class Posterior(Density):
 
     Parameters
     ----------
-    model : PressModel
-    error_model : ErrorModel
-    belief : Belief
-    grid : sequence of WeighedScales
     has_field_prior : bool
         The law's errors have the priors of the scales, not that of the belief.
     order_sd : float

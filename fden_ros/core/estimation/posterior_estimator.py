@@ -41,8 +41,6 @@ class PosteriorEstimator(Estimator):
 
     Parameters
     ----------
-    config : EstimatorConfig
-    geometry : Geometry
     noise_sd : float
         Standard deviation of the stress per sample [Pa].
     origin_sd : float

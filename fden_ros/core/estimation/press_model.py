@@ -70,7 +70,6 @@ class TissueSurface:
         The first of a state.
     motion : PressMotion
         Of these.
-    geometry : Geometry
     kernel, characteristic : slice
         Places of the law's errors in a state, which ends with the latter.
     last_knot : float
@@ -223,8 +222,6 @@ class PressModel:
 
     Parameters
     ----------
-    unknowns : tuple of Unknown
-    geometry : Geometry
     is_bent : bool
         The law's errors are unknowns too: behind the others, kernel, then characteristic.
     last_knot : float
@@ -234,8 +231,6 @@ class PressModel:
 
     Attributes
     ----------
-    motion : PressMotion
-    surface : TissueSurface
     kernel, characteristic : slice
         Places of the law's errors in a state.
     size : int

@@ -58,7 +58,6 @@ class PressPosterior:
 
     Parameters
     ----------
-    hypotheses : sequence of Hypothesis
     intake : Intake
         Of its samples, of which none has come.
 
@@ -70,7 +69,6 @@ class PressPosterior:
         The likeliest.
     weighed : list of (float, Hypothesis)
         Those that have a solution, with weights that add up to 1.
-    intake : Intake
     begun_at, solved_at : int
         Blocks in the records of the newest solutions that were begun, and of the newest that have
         ended.

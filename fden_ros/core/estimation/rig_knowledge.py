@@ -126,7 +126,6 @@ class RigKnowledge:
         ----------
         mean, covariance : ndarray, shape (2,), (2, 2)
             The contact's posterior, started from this knowledge, in the stated deviations.
-        config : EstimatorConfig
         """
         uncertainty = config.uncertainty
         stated = RigKnowledge.stated(config)

@@ -93,10 +93,6 @@ def averaged(
 
     Parameters
     ----------
-    density : Density
-    points : Points
-    maximum : Maximum
-    grid : sequence of WeighedScales
     held : int or None
         Place of an unknown that is as it is at the maximum.
 

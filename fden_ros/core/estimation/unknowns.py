@@ -148,8 +148,6 @@ def unknowns_of(
 
     Parameters
     ----------
-    config : EstimatorConfig
-    geometry : Geometry
     origin_sd : float
         Standard deviation of the strain origin, as compression [1]; 0: known.
     drift_sd : float

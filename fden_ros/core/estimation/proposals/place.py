@@ -74,7 +74,6 @@ def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool)
 
     Parameters
     ----------
-    prior, other : Tissue
     told : Tissue
         The posterior with the first.
     learns_order : bool
