@@ -16,6 +16,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.error_model import Row
 from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Solved
@@ -36,10 +37,10 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
 }
 #: Rows of the errors, and what is left of their variances where they are known [1]: with no noise
 #: there would be nothing to weigh by.
-_LEFT: Mapping[str, tuple[int, float]] = {
-    "noise": (0, 1e-8),
-    "drift": (3, 0.0),
-    "motion": (4, 0.0),
+_LEFT: Mapping[str, tuple[Row, float]] = {
+    "noise": (Row.NOISE, 1e-8),
+    "drift": (Row.DRIFT, 0.0),
+    "motion": (Row.MOTION, 0.0),
 }
 
 

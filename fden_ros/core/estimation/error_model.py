@@ -20,6 +20,7 @@ last term depends on the sampling.
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,14 +40,16 @@ from fden_ros.core.law import Geometry, apparent_stiffness_factor
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
 SURFACE_TIME = 0.25
-#: Error of a strain whose motion bends between two samples, over the bend times the step [1]: a
-#: quarter where it bends in the middle, 0.17 in the mean; without it chi-squared is up to 9 a
-#: point.
-_CORNER = 0.2
-#: Shortest time that a step of the motion counts for [s].
-_SHORTEST = 1e-4
-#: Places of the processes of :class:`Errors`.
-_, _GAIN, _, DRIFT, _MOTION = range(5)
+
+
+class Row(enum.IntEnum):
+    """Places of the processes of :class:`Errors`."""
+
+    NOISE = 0
+    GAIN = 1
+    ROUGHNESS = 2
+    DRIFT = 3
+    MOTION = 4
 
 
 @dataclass(frozen=True)
@@ -79,19 +82,14 @@ class Errors:
     @property
     def gain(self) -> Array:
         """Stress per compression of the surface [Pa], (m,)."""
-        return self.rows[_GAIN]
-
-    @property
-    def drift(self) -> Array:
-        """Variances that the stress's walk gains beside its roughness [Pa^2], (m,)."""
-        return self.rows[DRIFT]
+        return self.rows[Row.GAIN]
 
     def under(self, other: Errors) -> Errors:
         """Return them with the variances of another stiffness, as stress: only the gain is own."""
         rows = other.rows.copy()
-        rows[_GAIN] = self.gain
+        rows[Row.GAIN] = self.gain
         moved = np.divide(other.gain, self.gain, out=np.ones_like(self.gain), where=self.gain != 0)
-        rows[_MOTION] *= moved**2
+        rows[Row.MOTION] *= moved**2
         return Errors(rows, self.loading)
 
 
@@ -117,13 +115,19 @@ class ErrorModel:
         drift = (self.geometry.stress_per_force * self.uncertainty.force_drift_sd) ** 2
         motion = (self.uncertainty.surface_motion_sd / self.geometry.length) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
+        # Error of a strain whose motion bends between two samples, over the bend times the step
+        # [1]: a quarter where it bends in the middle, 0.17 in the mean; without it chi-squared is
+        # up to 9 a point.
+        corner = 0.2
+        # Shortest time that a step of the motion counts for [s].
+        shortest = 1e-4
         # An age of less than a block counts as none.
         numbers = np.array(
             [
                 *(self.noise.stress**2, self.noise.compression),
                 *(order, 1.0 / math.gamma(1.0 - order)),
                 *(drift, motion, apparent_stiffness_factor(order, SURFACE_TIME)),
-                *(_CORNER, _SHORTEST, floor, BLOCK_TIME),
+                *(corner, shortest, floor, BLOCK_TIME),
             ]
         )
         loading = np.array(before or (points.times[0], floor, 0.0))

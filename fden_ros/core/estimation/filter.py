@@ -27,16 +27,12 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.error_model import DRIFT, ErrorModel, Errors
+from fden_ros.core.estimation.error_model import ErrorModel, Errors, Row
 from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.law import MAX_EXPONENT
-
-#: The linear model may lack this part of the stress [1]: with tissue of the law it is below 0.08,
-#: and with a prior that excluded the tissue above 0.3 where Gn was 22 for 9.
-_MOST_LACKING = 0.1
 
 
 class Update(NamedTuple):
@@ -107,7 +103,9 @@ class PressFilter:
     @property
     def is_linear(self) -> bool:
         """Whether the model that is linear about the last solution says what the stress is."""
-        return self._lacking <= _MOST_LACKING
+        # It may lack a tenth of the stress: with tissue of the law it is below 0.08, and with a
+        # prior that excluded the tissue above 0.3 where Gn was 22 for 9.
+        return self._lacking <= 0.1
 
     @property
     def has_moved(self) -> bool:
@@ -153,7 +151,7 @@ class PressFilter:
             lacking = self._newly_lacking(self._lacking * float(found.stress[k]))
             one = slice(k, k + 1)
             own = np.ascontiguousarray(errors.rows[:, one])
-            own[DRIFT] += lacking
+            own[Row.DRIFT] += lacking
             block = loops.Followed(
                 points.stresses[one],
                 found.stress[one],

@@ -19,8 +19,6 @@ from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxatio
 
 #: Places in time and strain at which the errors are read off [1].
 _PLACES = 16
-#: Part of the elapsed time, and of the largest strain, from which on they are [1].
-_FROM_TIME, _FROM_STRAIN = 0.03, 0.1
 #: The loaded part of the characteristic is above this part of the largest strain [1].
 _LOADED = 0.7
 
@@ -38,13 +36,14 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
     kernel, characteristic = model.kernel, model.characteristic
     mean, covariance = solution.mean, solution.covariance
     elapsed, strain = seen
-    times = np.geomspace(_FROM_TIME * elapsed, elapsed, _PLACES)
+    # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
+    times = np.geomspace(0.03 * elapsed, elapsed, _PLACES)
     design, slope = _relaxation_functionals(float(mean[ORDER]), times)
     bend = design @ mean[kernel]
     bend_covariance = design @ covariance[kernel, kernel] @ design.T
     own = np.zeros(mean.size)
     own[ORDER], own[kernel] = 1.0, -slope
-    strains = np.linspace(_FROM_STRAIN * strain, strain, _PLACES)
+    strains = np.linspace(0.1 * strain, strain, _PLACES)
     curve, _ = splines(strains, model.last_knot, characteristic.stop - characteristic.start)
     off = curve @ mean[characteristic]
     off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T

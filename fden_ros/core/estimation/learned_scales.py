@@ -9,7 +9,7 @@ contacts: each gives the evidence for several scales of what is stated (MacKay, 
 
 - The motion by a contact's record, with the law taken for exact, so that all it leaves out counts
   as motion. A random walk stands for smooth motion here, and smooth motion is mostly absorbed by
-  G, Gn and alpha: the scale that is likely is :data:`SMOOTH` times too small for their errors.
+  G, Gn and alpha: the scale that is likely is 3 times too small for their errors.
   (Breathing of 0.3 and of 1 mm wants 0.06 and 0.2 mm in a second by the evidence, and 0.2 and
   0.6 mm for errors of one deviation.)
 - The drift by the change d of the air's force over a contact,
@@ -25,8 +25,6 @@ from collections.abc import Sequence
 #: Scales [1] of the stated motion and drift that are compared.
 MOTION_SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 DRIFT_SCALES = (4.0, 2.0, 1.0, 0.5, 0.25)
-#: The motion that counts, in that of the likely walk [1].
-SMOOTH = 3.0
 #: Least share of the stated motion that is believed [1]: below it creep of 20 mN in 2 s, which no
 #: contact shows, would be the larger error.
 LEAST_SHARE = 0.25
@@ -48,7 +46,7 @@ def pooled(before: Evidence, contact: Sequence[float]) -> Evidence:
 
 def motion_share(evidence: Sequence[float]) -> float:
     """Return the share of the stated motion that counts [1]: the largest that is likely."""
-    return min(max(SMOOTH * largest_likely(MOTION_SCALES, evidence), LEAST_SHARE), 1.0)
+    return min(max(3.0 * largest_likely(MOTION_SCALES, evidence), LEAST_SHARE), 1.0)
 
 
 def drift_evidence(change: float, noise_variance: float, stated_variance: float) -> Evidence:

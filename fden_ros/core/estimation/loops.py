@@ -23,6 +23,7 @@ The C sources are in `compiled/`; numpy and scipy are their oracle in the tests.
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -31,17 +32,24 @@ import numpy as np
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.law import LAYER_TERMS, RATE_COUNT, RATES
 
-_VERSION = 4  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
 try:
     from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
 except ImportError as missing:
     raise ImportError(f"{_MEND} again") from missing
-if _compiled.VERSION != _VERSION:
+# Of what the functions take; raised with every change of it.
+if _compiled.VERSION != 4:
     raise ImportError(f"{_MEND} again: its compiled part is of version {_compiled.VERSION}")
 
-#: What of the law a column of derivatives is by; in `compiled/loops.h` too.
-BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
+
+class By(enum.IntEnum):
+    """What of the law a column of derivatives is by; in `compiled/loops.h` too."""
+
+    NOTHING = 0
+    LOG_G = 1
+    LOG_GN = 2
+    COMPLIANCE = 3
+    FIRST_KNOT = 4
 
 
 @dataclass(frozen=True)
@@ -77,8 +85,8 @@ class LawState:
 class Columns:
     """The derivatives of the response that are asked for."""
 
-    #: One of the ``BY_...`` each, none but BY_NOTHING twice; by the knot m of the
-    #: characteristic's error: ``BY_FIRST_KNOT`` + m. Shape (columns,).
+    #: One of :class:`By` each, none but NOTHING twice; by the knot m of the characteristic's
+    #: error: FIRST_KNOT + m. Shape (columns,).
     kinds: Indices
     #: Derivatives of the compression by the first columns [1]; by the others it has none, (moving,
     #: points).

@@ -34,10 +34,6 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
-#: Steps after which other scales are tried [1]; a growing record takes one to five.
-_FEW_STEPS = 12
-#: A moderate error [1].
-_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 
 
 class Posterior(Density):
@@ -132,7 +128,7 @@ class Posterior(Density):
         """The scales of the grid that are nearest to those of a moderate error, to begin with."""
 
         def off(scales: Scales) -> float:
-            pairs = zip(scales, _MODERATE, strict=True)
+            pairs = zip(scales, (0.1, 0.1, 0.06, 1.0), strict=True)
             return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
 
         return min((weighed.scales for weighed in self.grid), key=off)
@@ -171,7 +167,8 @@ class Posterior(Density):
             If the stress is not finite at the state.
         """
         scales = before.best_scales
-        best = yield from self.maximum(points, state, scales, _FEW_STEPS)
+        # Other scales are tried after 12 steps; a growing record takes one to five.
+        best = yield from self.maximum(points, state, scales, most=12)
         near = beside(self.grid, scales)
         others = before.scales.keys() - {w.scales for w in near}
         near += tuple(w for w in self.grid if w.scales in others)

@@ -31,10 +31,6 @@ from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_a
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.law import Geometry
 
-#: Work of a time in the air over that of a time in contact [1]: no filter takes samples there, and
-#: the last solution is found within 0.8 s.
-_IN_AIR = 3.0
-
 
 class PosteriorEstimator(Estimator):
     """The estimator of one site.
@@ -229,7 +225,9 @@ class PosteriorEstimator(Estimator):
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
         if self.press is not None:
-            self.press.work(_IN_AIR * seconds)
+            # Three times as much as in contact: no filter takes samples in the air, and the last
+            # solution is found within 0.8 s.
+            self.press.work(3.0 * seconds)
 
     def finish(self) -> None:
         """Do what is left of it."""

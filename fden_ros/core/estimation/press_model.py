@@ -20,7 +20,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.loops import (
-    BY_FIRST_KNOT,
+    By,
     Columns,
     Evaluation,
     LawState,
@@ -255,7 +255,7 @@ class PressModel:
         names = [u.name for u in unknowns]
         self._compliance = names.index("compliance") if "compliance" in names else None
         self._adds_stress = np.array([u.stress is not None for u in unknowns])
-        knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
+        knots = By.FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
         kinds = np.concatenate([[u.kind for u in unknowns], kernel, knots])
         self._kinds = kinds.astype(np.int64)

@@ -31,15 +31,6 @@ from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
 from fden_ros.core.estimation.search import Care, Solved
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
-#: Points that a solution evaluates for each second of samples [1/s]; it is used at the block where
-#: it ends: 750 points, some 1.5 ms, a block of 10 ms. Work is counted and not timed, so that what
-#: comes of a recording is what came of it live.
-_WORK_RATE = 0.75e5
-#: At most so much of it at a block [1]: 0.4 s of samples.
-_MOST_WORK = 3e4
-#: Hypotheses of one press [1], so that a solution of all has a longest time.
-_MOST_HYPOTHESES = 6
-
 
 class _Begun(NamedTuple):
     """Solutions that have been begun."""
@@ -172,7 +163,10 @@ class PressPosterior:
 
     def work(self, seconds: float) -> None:
         """Go on with what is under way, by the work of a time [s]."""
-        work = min(_WORK_RATE * seconds, _MOST_WORK)
+        # Points that a solution evaluates for each second of samples; it is used at the block
+        # where it ends: 750 points, some 1.5 ms, a block of 10 ms. At most that of 0.4 s. Work is
+        # counted and not timed, so that what comes of a recording is what came of it live.
+        work = min(0.75e5 * seconds, 3e4)
         if self._watch.is_working:
             self._take_event(self._watch.advance(work, is_over=self._schedule.is_over))
         elif self._begun is not None and self._begun.found.advance(work):
@@ -296,7 +290,8 @@ class PressPosterior:
 
     def _adopt(self, found: Found) -> None:
         """Put hypotheses with an event beside those without."""
-        self.hypotheses = with_event(self.hypotheses, found)[:_MOST_HYPOTHESES]
+        # At most six, so that a solution of all has a longest time.
+        self.hypotheses = with_event(self.hypotheses, found)[:6]
         changed = self.hypotheses[0]
         if changed.solved is not None:
             self._catch_up([changed], found.end, found.since)

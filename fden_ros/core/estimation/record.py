@@ -37,24 +37,9 @@ from fden_ros.core.estimation.block import (
     Sample,
 )
 
-#: Above 1 kHz the samples near the touch are blocks of this time [s].
-_LEAST_BLOCK = 1e-3
-#: Noise of the compression above which a sample alone tells nothing of the touch [1].
-_SHARP_NOISE = 5e-5
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1],
 #: beside the tolerance; a block goes on along the line of those before within the noise alone.
 _LINE_DEVIATIONS = 4.0
-#: The motion changes where it leaves the line of a block by this compression [1]: 1.5e-5 would be
-#: exceeded by noise of 0.1 um, which would move estimates by half a standard deviation.
-_MOST_OFF = 2e-4
-#: A block may last for this part of the time since the motion changed [1], while its compression
-#: changes by at most this [1].
-_GROWTH, _MOST_CHANGE = 0.05, 5e-4
-#: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
-#: would else meet the noise of the motion in a hold, which makes them less than they are.
-_SLOPE_DEVIATIONS = 3.0
-#: Blocks over which a speed is told from the noise of the motion [1]: 50 ms.
-_BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
@@ -99,10 +84,6 @@ class Record:
         self.max_compression = -math.inf
 
     @property
-    def _touch_time(self) -> float:
-        return TOUCH_TIME if self.noise_sd < _SHARP_NOISE else 0.0
-
-    @property
     def end(self) -> float:
         """Time of the newest sample [s]."""
         return self._open.end if self._open is not None else 0.0
@@ -118,11 +99,11 @@ class Record:
         A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
         compression to the power `exponent`.
         """
-        if len(self._rows) <= _BLOCKS_OF_SPEED:
+        n = 5  # blocks over which a speed is told from the noise of the motion: 50 ms
+        if len(self._rows) <= n:
             return False
         times = np.array([row.middle for row in self._rows])
         strains = np.maximum([row.compression for row in self._rows], 0.0) ** exponent
-        n = _BLOCKS_OF_SPEED
         speeds = (strains[n:] - strains[:-n]) / (times[n:] - times[:-n])
         is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
         is_seen = times[n:] - times[0] > TOUCH_TIME
@@ -147,8 +128,10 @@ class Record:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
-        if cell.start - self._start < self._touch_time:
-            return time - cell.start > _LEAST_BLOCK - SAME_TIME
+        # Above a noise of 5e-5 a sample alone tells nothing of the touch.
+        if cell.start - self._start < (TOUCH_TIME if self.noise_sd < 5e-5 else 0.0):
+            # Above 1 kHz the samples there are blocks of this time [s].
+            return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
         if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
@@ -236,7 +219,8 @@ class Record:
         middle = cell.line()[0]
         off = abs(cell.compression / cell.count - last.at(middle))
         spread = math.sqrt(1.0 / cell.count + 4.0 / last.count)
-        if off > _MOST_OFF + _LINE_DEVIATIONS * self.noise_sd * spread:
+        # With 1.5e-5 noise of 0.1 um would move estimates by half a standard deviation.
+        if off > 2e-4 + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
         if (
@@ -246,9 +230,10 @@ class Record:
         ):
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
+        # It may last for a twentieth of the time since the motion changed.
         return (
-            change < _MOST_CHANGE + _LINE_DEVIATIONS * self.noise_sd * spread
-            and cell.end - last.start <= _GROWTH * (cell.end - self._changed) + SAME_TIME
+            change < 5e-4 + _LINE_DEVIATIONS * self.noise_sd * spread
+            and cell.end - last.start <= 0.05 * (cell.end - self._changed) + SAME_TIME
         )
 
     def points(self) -> Points:
@@ -331,7 +316,9 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
     motion = compression[block] + slope[block] * offsets
     elapsed = np.diff(times, prepend=times[0] if before is None else before)
     bends = np.zeros_like(times)
-    speeds = _above_noise(slope, _SLOPE_DEVIATIONS * noise_sd * slope_sd)[block]
+    # A slope counts by half at three of its standard deviations: friction and delay would else
+    # meet the noise of the motion in a hold, which makes them less than they are.
+    speeds = _above_noise(slope, 3.0 * noise_sd * slope_sd)[block]
     if times.size > 2:
         bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
         speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))

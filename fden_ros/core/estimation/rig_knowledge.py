@@ -31,12 +31,6 @@ from fden_ros.core.estimation.learned_scales import (
 
 #: What is learned of a rig, by the names of its unknowns.
 RIG = ("delay", "friction")
-#: Learned deviations stay above this share of the stated ones [1]: the columns are derivatives at
-#: a running linearisation, and what they tell is off the same way in each contact.
-_LEAST_SHARE = 0.5
-#: A contact that moves the mean by more than this many deviations of what was known [1] speaks of
-#: another rig: beyond it lie 1e-3 of two normal variables.
-_CONTRADICTION = 3.72
 
 
 class RigValue(NamedTuple):
@@ -133,10 +127,14 @@ class RigKnowledge:
         before, spread = self.scaled(uncertainty)
         moved = (mean - before)[open_]
         known = spread[np.ix_(open_, open_)]
-        if moved @ np.linalg.solve(known, moved) > _CONTRADICTION**2:
+        # Beyond 3.72 deviations of what was known, where 1e-3 of two normal variables lie, it
+        # speaks of another rig.
+        if moved @ np.linalg.solve(known, moved) > 3.72**2:
             return stated
         variances = np.diag(covariance)
-        least = np.minimum(_LEAST_SHARE**2, np.diag(spread))
+        # Learned deviations stay above half of the stated ones: the columns are derivatives at a
+        # running linearisation, and what they tell is off the same way in each contact.
+        least = np.minimum(0.5**2, np.diag(spread))
         # Added to the diagonal, so that the matrix stays positive definite.
         wider = covariance + np.diag(np.maximum(least - variances, 0.0))
         scale = np.array(uncertainty.rig_sd)

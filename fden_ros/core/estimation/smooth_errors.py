@@ -27,20 +27,13 @@ CHARACTERISTIC_KNOTS = 22
 #: Strain about which the splines of the characteristic's error become wider, over that of their
 #: last knot [1]; in `compiled/response.c` too.
 NEAR = 0.1
-#: Correlation length of the characteristic's error in ln phi [1].
-CHARACTERISTIC_LENGTH = 2.0
 #: Strain below which ln phi counts as if there was no motion [1]; at this compression half of the
 #: friction acts: with 0.01 friction six times its deviation was taken for motion of the surface in
 #: 3 of 15 presses, unflagged; with 0.001 it is no better.
 STRAIN_FLOOR = 3e-3
-#: By definition the law's error is 0 at this strain [1], and after this time [s]: there G and Gn
-#: are those of the tissue. The sum of the relaxation is that of its order, up to this one [1]:
-#: beyond, holds of beef were predicted to 0.61 % of the peak in place of 0.52 %.
-REFERENCE_STRAIN, REFERENCE_TIME, MOST_REFERENCE_ORDER = 0.1, 1.0, 0.3
-#: What is left of the variance of an error where it is 0 by definition [1].
-_CONSTRAINED = 1e-6
-#: The last knot of strain [1] is the least of 0.02 * 1.25^k above the largest strain.
-_LEAST_RANGE, _RANGE_RATIO, _RANGE_MARGIN = 0.02, 1.25, 1.05
+#: By definition the law's errors are 0 at this strain [1] and after 1 s: there G and Gn are those
+#: of the tissue.
+REFERENCE_STRAIN = 0.1
 
 
 def hats(places: Array, knots: Array) -> Array:
@@ -55,9 +48,9 @@ KERNEL_HATS = hats(-np.log(np.concatenate([RATES, RATES[[0, -1]]])), KERNEL_KNOT
 
 
 def strain_range(largest: float) -> float:
-    """Return the strain of the last knot for a largest strain [1]."""
-    ratio = max(largest * _RANGE_MARGIN, _LEAST_RANGE) / _LEAST_RANGE
-    return _LEAST_RANGE * _RANGE_RATIO ** math.ceil(math.log(ratio) / math.log(_RANGE_RATIO))
+    """Return the strain of the last knot [1]: the least of 0.02 * 1.25^k above a largest one."""
+    ratio = max(largest * 1.05, 0.02) / 0.02
+    return 0.02 * 1.25 ** math.ceil(math.log(ratio) / math.log(1.25))
 
 
 def characteristic_knots(last: float) -> Array:
@@ -133,7 +126,8 @@ def _constrained(places: Array, length: float, zero: Array) -> FieldPrior:
     some = np.flatnonzero(zero)
     at = places[some] / length
     variance = float(zero[some] @ np.exp(-np.abs(at[:, None] - at)) @ zero[some])
-    precision = (1.0 - _CONSTRAINED) / (_CONSTRAINED * variance) * np.outer(zero, zero)
+    left = 1e-6  # of the variance of an error where it is 0 by definition
+    precision = (1.0 - left) / (left * variance) * np.outer(zero, zero)
     diagonals = precision.reshape(-1)
     step = places.size + 1
     diagonals[1::step] -= beside / own
@@ -142,7 +136,7 @@ def _constrained(places: Array, length: float, zero: Array) -> FieldPrior:
     main[0] += 1.0
     main[1:] += 1.0 / own
     main[:-1] += beside**2 / own
-    determinant = -math.log(_CONSTRAINED) - float(np.log(own).sum())
+    determinant = -math.log(left) - float(np.log(own).sum())
     return FieldPrior(precision, determinant)
 
 
@@ -153,8 +147,10 @@ def kernel_prior(order: float) -> FieldPrior:
     Of a body that hardly relaxes that is all but the slowest rate's part: with the sum of another
     order its level was left open, and G of an elastic body to a quarter.
     """
-    weights = relaxation_weights(min(order, MOST_REFERENCE_ORDER))
-    zero = (weights * left_after(REFERENCE_TIME)) @ KERNEL_HATS
+    # Up to an order of 0.3: beyond, holds of beef were predicted to 0.61 % of the peak in place of
+    # 0.52 %.
+    weights = relaxation_weights(min(order, 0.3))
+    zero = (weights * left_after(1.0)) @ KERNEL_HATS
     return _constrained(KERNEL_KNOTS, KERNEL_LENGTH, zero / zero.sum())
 
 
@@ -163,7 +159,8 @@ def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
     """Return the prior of the characteristic's error; at the strain 0.1 it is 0."""
     knots, zero = _characteristic(last)
     place = np.log(phi(knots, 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
-    return _constrained(place, CHARACTERISTIC_LENGTH, zero)
+    # Its correlation length in ln phi is 2.
+    return _constrained(place, 2.0, zero)
 
 
 @functools.lru_cache(maxsize=16)

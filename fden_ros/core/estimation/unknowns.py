@@ -28,15 +28,13 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.loops import BY_COMPLIANCE, BY_LOG_G, BY_LOG_GN
+from fden_ros.core.estimation.loops import By
 from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, Geometry
 
 #: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
 #: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.
 LINEAR_DELAY = 0.01
-#: Speed at which friction has half its full square [m/s]: slower is a hold.
-FRICTION_SPEED = 5e-4
 
 
 class Lifetime(enum.Enum):
@@ -56,7 +54,7 @@ class Unknown:
     mean: float
     sd: float
     lifetime: Lifetime
-    kind: int = 0  #: what of the law it is, one of the ``BY_...`` of the loops
+    kind: By = By.NOTHING  #: what of the law it is
     #: Points to the change of their compressions by one standard deviation, (n,).
     motion: Callable[[Points], Array] | None = None
     #: Points to the stress at their blocks by one standard deviation, (m,) [Pa].
@@ -116,7 +114,8 @@ def _friction(stress: float, length: float, points: Points) -> Array:
     # In the air there is none, or it is in the zero.
     pressed = np.maximum(points.mean(points.compressions), 0.0)
     in_contact = pressed**2 / (pressed**2 + STRAIN_FLOOR**2)
-    result: Array = stress * in_contact * speed / np.hypot(speed, FRICTION_SPEED)
+    # Below 5e-4 m/s, where friction has half its full square, is a hold.
+    result: Array = stress * in_contact * speed / np.hypot(speed, 5e-4)
     return result
 
 
@@ -162,11 +161,11 @@ def unknowns_of(
     site, rig = Lifetime.SITE, Lifetime.RIG
 
     found = (
-        Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, BY_LOG_G),
-        Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, BY_LOG_GN),
+        Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, By.LOG_G),
+        Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, By.LOG_GN),
         Unknown("order", prior.fractional_order, order_sd, site),
         Unknown("origin", 0.0, origin_sd, site, motion=partial(_shift, -origin_sd)),
-        Unknown("compliance", 0.0, unsure.compliance_sd, rig, BY_COMPLIANCE),
+        Unknown("compliance", 0.0, unsure.compliance_sd, rig, By.COMPLIANCE),
         _delay(unsure.delay_sd, touch_speed),
         Unknown(
             "friction",

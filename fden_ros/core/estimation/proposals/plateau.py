@@ -30,12 +30,6 @@ from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import RATES, left_after, relaxation_weights
 
-#: Rates of the rival: times the time since the touch of one that has just begun, and times that of
-#: a block of one that is over at once, as a dashpot's is [1].
-_SLOWEST, _FASTEST = 0.3, 10.0
-#: The fastest rates that are tried of a relaxation that is over at once [1].
-_AT_ONCE = 3
-
 
 class _Maxwell(PressModel):
     """The model of a press on a spring beside a Maxwell element; `order` is o."""
@@ -94,8 +88,10 @@ def _component(points: Points, model: PressModel, solution: Solution) -> Compone
 def _rates(question: Question) -> list[int]:
     """Return the places of the rates that a record may show."""
     elapsed = question.elapsed
-    wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * BLOCK_TIME < _FASTEST))
-    found: list[int] = (wanted[-_AT_ONCE:] if question.at_once else wanted).tolist()
+    # From that of a relaxation that has just begun to that of one that is over within a block, as
+    # a dashpot's is.
+    wanted = np.flatnonzero((RATES * elapsed > 0.3) & (RATES * BLOCK_TIME < 10.0))
+    found: list[int] = (wanted[-3:] if question.at_once else wanted).tolist()
     return found
 
 
