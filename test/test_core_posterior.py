@@ -29,8 +29,7 @@ from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.linear_range import LinearRange
+from fden_ros.core.estimation.filter import LinearRange, PressFilter
 from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel

@@ -39,10 +39,9 @@ from fden_ros.core.estimation.estimator_config import (
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.learned_scales import drift_evidence
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import Advanced, Parts, ended
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge, drift_evidence
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE

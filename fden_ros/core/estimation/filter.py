@@ -9,7 +9,7 @@ The state x holds the unknowns and the two walks. A block of stress z is
     z = f(\hat\theta) + J(\theta - \hat\theta) + w + k s + v = h(x) + v,
 
 linear about the maximum of the last solution; what it lacks there is variance of w
-(:mod:`fden_ros.core.estimation.linear_range`). Predict and update as in the book (Bar-Shalom,
+(:class:`LinearRange`). Predict and update as in the book (Bar-Shalom,
 Li and Kirubarajan 2001, section 5.2):
 
 .. math::
@@ -20,19 +20,20 @@ Li and Kirubarajan 2001, section 5.2):
 from __future__ import annotations
 
 import copy
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.error_model import ErrorModel, Errors, Row
-from fden_ros.core.estimation.linear_range import LinearRange
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.law import MAX_EXPONENT
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
+from fden_ros.core.law import MAX_EXPONENT, log_phi
 
 
 class Update(NamedTuple):
@@ -43,6 +44,48 @@ class Update(NamedTuple):
     variance: float  #: S, of the innovation [Pa^2]
     log_likelihood: float  #: of all blocks of the step [1]
     errors: Errors
+
+
+class LinearRange:
+    r"""What a model that is linear about a state lacks at other states, for some blocks.
+
+    The stress of a block goes with :math:`\varphi(x;\, G, G_n)\,A^{-\alpha}`, A the mean age of
+    its loading. With :math:`\Delta` the change of that logarithm from one state to another, and
+    :math:`\Delta_1` its linear part, a model that is linear about the first lacks
+    :math:`e^{\Delta} - 1 - \Delta_1` of the stress there: what a second-order filter would correct
+    for (Bar-Shalom, Li and Kirubarajan 2001, section 10.3.2). The smooth errors of the law do not
+    count.
+
+    Parameters
+    ----------
+    about : ndarray, shape (size,)
+    age : float
+        Mean time since the loading was built up [s].
+    """
+
+    def __init__(self, model: PressModel, points: Points, about: Array, age: float) -> None:
+        self._geometry, self._about = model.geometry, about
+        self._compressions, self._by_state = model.motion.ends(points, about)
+        self._log_age = math.log(max(age, BLOCK_TIME))
+
+    def lacking(self, block: int, state: Array) -> float:
+        """Return what the model lacks at a block, in parts of its stress [1]."""
+        off = state - self._about
+        before, moved = float(self._compressions[block]), float(self._by_state[block] @ off)
+        if before <= 0.0 or before + moved <= 0.0:
+            return 0.0
+        first, second = self._geometry.strain(before), self._geometry.strain(before + moved)
+        excess = max(math.exp(self._about[LOG_GN]) * first - 1.0, 0.0)
+        by_compression = self._geometry.strain_slope(before) / first * (1.0 + excess)
+        relaxed = -self._log_age * float(off[ORDER])
+        linear = off[LOG_G] + excess * off[LOG_GN] + by_compression * moved + relaxed
+        change = _log_phi(second, state) - _log_phi(first, self._about) + relaxed
+        # A factor of e^20 is far enough.
+        return math.expm1(min(change, 20.0)) - float(linear)
+
+
+def _log_phi(strain: float, state: Array) -> float:
+    return float(log_phi(np.array(strain), state[LOG_G], state[LOG_GN]))
 
 
 class PressFilter:

@@ -12,24 +12,30 @@ a change is looked for.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
+from scipy.special import logsumexp
+
 from fden_ros.core.estimation.block import Block, Points, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
-from fden_ros.core.estimation.epoch import Weighed, keep_shares, kept, solved_together, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.intake import Intake
-from fden_ros.core.estimation.mixture import weights_of
-from fden_ros.core.estimation.parts import Advanced
+from fden_ros.core.estimation.mixture import NEGLIGIBLE, weights_of
+from fden_ros.core.estimation.parts import Advanced, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
-from fden_ros.core.estimation.search import Care, Solved
+from fden_ros.core.estimation.search import Care, Search, Solved
+from fden_ros.core.estimation.solution import cost_of, evidence_under
 from fden_ros.core.estimation.whiteness import NO_CHANCE
+
+#: A solution with its log evidence; None: it was not found.
+_Weighed = tuple[Solved, float] | None
 
 
 class _Begun(NamedTuple):
@@ -40,7 +46,7 @@ class _Begun(NamedTuple):
     elapsed: float  #: from the touch to there [s]
     compression: float  #: largest of it [1]
     shows_delay: bool  #: a long delay
-    found: Advanced[list[Weighed]]
+    found: Advanced[list[_Weighed]]
     since: list[Block]  #: the blocks after their record
 
 
@@ -230,7 +236,7 @@ class PressPosterior:
             record.max_compression,
             # Or an earlier press of the site has shown it.
             self.setting.carried is not None or has_slowed,
-            Advanced(partial(solved_together, searches)),
+            Advanced(partial(_solved_together, searches)),
             [],
         )
         self.begun_at = self._schedule.blocks
@@ -248,10 +254,10 @@ class PressPosterior:
                 one.misses += 1
             return
         self._schedule.ended(begun.elapsed, begun.compression, shows_delay=begun.shows_delay)
-        solved, missed = taken_over(begun.hypotheses, found)
-        self.hypotheses = kept(solved, missed)
+        solved, missed = _taken_over(begun.hypotheses, found)
+        self.hypotheses = _kept(solved, missed)
         self._catch_up(solved, begun.end, begun.since)
-        keep_shares(self.weighed, missed, solved)
+        _keep_shares(self.weighed, missed, solved)
         self.weigh()
 
     def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:
@@ -308,3 +314,85 @@ def _stepped(hypotheses: Sequence[Hypothesis], points: Points) -> list[Update | 
     first = best.step(points)
     under = first.errors if first is not None else None
     return [first if one is best else one.step(points, under) for one in hypotheses]
+
+
+def _solved_together(searches: Sequence[Search]) -> Parts[list[_Weighed]]:
+    """Return the solutions of all hypotheses, of one record, in parts.
+
+    Each has its log evidence, under the same errors; None: there is none.
+
+    Raises
+    ------
+    FloatingPointError
+        If there is none of any.
+    """
+    found: list[Solved | None] = []
+    for search in searches:
+        try:
+            found.append((yield from search.in_parts()))
+        except UNSOLVABLE:
+            found.append(None)
+    solved = [one for one in found if one is not None]
+    if not solved:
+        raise FloatingPointError("no hypothesis has a solution")
+    best = max(solved, key=lambda one: one.log_evidence)
+    result: list[_Weighed] = []
+    for search, one in zip(searches, found, strict=True):
+        if one is None:
+            result.append(None)
+            continue
+        evidence = one.log_evidence
+        if one is not best:
+            yield cost_of(search.points, one.posterior.grid)
+            evidence += _under(search.points, one, best) - one.best.log_evidence
+        result.append((one, evidence) if math.isfinite(evidence) else None)
+    return result
+
+
+def _under(points: Points, one: Solved, best: Solved) -> float:
+    """Return the log evidence of the best maximum under the errors of another solution."""
+    try:
+        grid = one.posterior.grid
+        return evidence_under(one.posterior, points, one.best, best.best.maximum.errors, grid)
+    except UNSOLVABLE:
+        return -math.inf
+
+
+def _taken_over(
+    hypotheses: Sequence[Hypothesis], found: Sequence[_Weighed]
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Let hypotheses go on from their solutions; return those that have one, and those without."""
+    solved, missed = [], []
+    for one, result in zip(hypotheses, found, strict=True):
+        if result is None:
+            one.misses += 1
+            missed.append(one)
+        else:
+            one.take_over(*result)
+            solved.append(one)
+    return solved, missed
+
+
+def _keep_shares(
+    before: Sequence[tuple[float, Hypothesis]],
+    missed: Sequence[Hypothesis],
+    solved: Sequence[Hypothesis],
+) -> None:
+    """Let hypotheses whose solution was not found keep their weights, which are in `before`.
+
+    All have taken the same blocks.
+    """
+    shares = [(weight, one) for weight, one in before if one in missed]
+    rest = 1.0 - sum(weight for weight, _ in shares)
+    total = float(logsumexp([one.log_weight for one in solved]))
+    for weight, one in shares:
+        one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
+
+
+def _kept(solved: Sequence[Hypothesis], missed: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses that are not ruled out: by their evidence, or lost twice in a row."""
+    most = max(one.log_weight for one in solved)
+    return [
+        *(one for one in solved if one.log_weight >= most - NEGLIGIBLE),
+        *(one for one in missed if one.misses < 2),
+    ]

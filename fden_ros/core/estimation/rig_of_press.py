@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fden_ros.core.estimation.learned_scales import MOTION_SCALES
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import rig_places
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_knowledge import MOTION_SCALES, RigKnowledge
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 
