@@ -208,8 +208,7 @@ class Points:
 
     def mean(self, values: Array) -> Array:
         """Return the means over the blocks of values at the points, shape (..., m)."""
-        result: Array = 0.5 * (values[..., self.first] + values[..., self.last])
-        return result
+        return 0.5 * (values[..., self.first] + values[..., self.last])
 
 
 class _Along(NamedTuple):

@@ -49,7 +49,9 @@ def budget_of(setting: PressSetting, solved: Solved) -> Budget:
     whole = _Press(solved)
     variances = whole.without("")
     thickness = setting.config.uncertainty.thickness_sd**2
-    parts = {name: _part(variances, whole.without(name)) for name in SOURCES}
+    parts = {
+        name: tuple(np.maximum(variances - whole.without(name), 0.0).tolist()) for name in SOURCES
+    }
     considered = solved.best.considered
     if considered is not None:
         order = considered.diagonal()[[LOG_G, LOG_GN]]
@@ -59,11 +61,6 @@ def budget_of(setting: PressSetting, solved: Solved) -> Budget:
     log_g, log_gn = (variances + thickness).tolist()
     surface_sd = setting.origin_deviation(solved.best.covariance)
     return Budget((log_g, log_gn), parts, setting.stress_sd, surface_sd)
-
-
-def _part(whole: Array, without: Array) -> tuple[float, float]:
-    log_g, log_gn = np.maximum(whole - without, 0.0).tolist()
-    return log_g, log_gn
 
 
 class _Press:

@@ -105,8 +105,7 @@ class Priors(NamedTuple):
             return np.zeros_like(scales)
         if not scales.all():
             raise FloatingPointError("errors without a size have no prior")
-        result: Array = scales**-2.0
-        return result
+        return scales**-2.0
 
     def log_determinant(self, scales: Scales) -> float:
         """Return the logarithm of the precision's determinant, but for what is the same to all."""
@@ -191,21 +190,14 @@ class Density:
 
     def _off(self, state: Array) -> Array:
         """Return how far what is stated of the rig is off, in standard deviations."""
-        off: Array = (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
-        return off
+        return (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
 
     def precision(self, state: Array, scales: Scales) -> Array:
         """Return the prior's precision at a state."""
         return self.priors(state).precision(scales)
 
     def evaluate(self, points: Points, state: Array) -> Evaluation:
-        """Return the model at a state; what is known has no derivative.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the model at a state; what is known has no derivative."""
         found = self.model.evaluate(points, state)
         found.jacobian[:, self.known] = 0.0
         return found
@@ -226,5 +218,4 @@ class Density:
 
 def _weights(off: Array) -> Array:
     """Return the weights with which a Gaussian prior pulls as Student's does."""
-    weights: Array = np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)
-    return weights
+    return np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)

@@ -173,11 +173,6 @@ class PressFilter:
         """Take blocks, one at least; return how the last of them compared with its prediction.
 
         `under`: the errors of the filter that it is weighed against; None: its own.
-
-        Raises
-        ------
-        FloatingPointError
-            If the prediction is not finite.
         """
         found = self._model.evaluate(points, self._about, self._response)
         errors = self._error_model.errors(points, self._about, found, self._loading)
@@ -191,10 +186,13 @@ class PressFilter:
         log_likelihood = 0.0
         for k in range(points.stresses.size):
             self._lacking = abs(reach.lacking(k, self.mean))
-            lacking = self._newly_lacking(self._lacking * float(found.stress[k]))
+            # What the walk gains in variance where so much stress is lacking.
+            stress = self._lacking * float(found.stress[k])
+            gained = max(stress**2 - self._counted, 0.0)
+            self._counted += gained
             one = slice(k, k + 1)
             own = np.ascontiguousarray(errors.rows[:, one])
-            own[Row.DRIFT] += lacking
+            own[Row.DRIFT] += gained
             block = loops.Followed(
                 points.stresses[one],
                 found.stress[one],
@@ -205,9 +203,3 @@ class PressFilter:
             update = Update(*loops.follow(block, own, *scales, self.x, self.P), errors)
             log_likelihood += update.log_likelihood
         return update._replace(log_likelihood=log_likelihood)
-
-    def _newly_lacking(self, stress: float) -> float:
-        """Return the variance that the walk gains [Pa^2] where so much stress is lacking [Pa]."""
-        gained = max(stress**2 - self._counted, 0.0)
-        self._counted += gained
-        return gained

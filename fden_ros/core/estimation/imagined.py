@@ -129,15 +129,11 @@ class ImaginedPress:
         )
         normal = white[:observed].T @ white[:observed]
         prior = posterior.precision(state, scales)
-        covariances = _repeated(normal, prior, self._lasting, presses)
+        # Which unknowns are one for all presses, and the law's errors are.
+        lasting = [u.lifetime is not Lifetime.CONTACT for u in posterior.model.unknowns]
+        lasting += [True] * (posterior.model.size - len(lasting))
+        covariances = _repeated(normal, prior, np.array(lasting), presses)
         return np.array([c.diagonal()[_LAW] for c in covariances])
-
-    @property
-    def _lasting(self) -> Array:
-        """Which unknowns are one for all presses."""
-        model = self._posterior.model
-        lasting = [u.lifetime is not Lifetime.CONTACT for u in model.unknowns]
-        return np.array(lasting + [True] * (model.size - len(lasting)))
 
     def solved(
         self, points: Points, tissue: Array, stress: Array, observed: int
@@ -218,5 +214,4 @@ def _inverse(matrix: Array) -> Array:
     root = np.linalg.inv(np.linalg.cholesky(matrix))
     if not np.isfinite(root).all():
         raise np.linalg.LinAlgError("the precision is not finite")
-    result: Array = root.T @ root
-    return result
+    return root.T @ root

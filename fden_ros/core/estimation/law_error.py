@@ -59,19 +59,13 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
 
 def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
     """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
-    errors = _relaxation_errors(order, times)
+    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
+    after = weights * left_after(times)
+    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
     logs = np.log(times)
     line = np.column_stack([np.ones(times.size), logs - logs.mean()])
     fit = np.linalg.pinv(line)
     return errors - line @ fit @ errors, fit[1] @ errors
-
-
-def _relaxation_errors(order: float, times: Array) -> Array:
-    """Return the relative error of the relaxation at times by the kernel's knots."""
-    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
-    after = weights * left_after(times)
-    result: Array = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
-    return result
 
 
 def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:

@@ -44,8 +44,7 @@ class Limit:
                 self._left -= cost
                 yield cost
         except StopIteration as end:
-            result: Result = end.value
-            return result
+            return end.value
 
 
 def ended(parts: Parts[Result]) -> Result:
@@ -54,8 +53,7 @@ def ended(parts: Parts[Result]) -> Result:
         while True:
             next(parts)
     except StopIteration as end:
-        result: Result = end.value
-        return result
+        return end.value
 
 
 class Advanced(Generic[Result]):

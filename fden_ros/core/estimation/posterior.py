@@ -32,7 +32,7 @@ from fden_ros.core.estimation.solution import (
 )
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
-#: What numbers do where a state is beyond them.
+#: What numbers do where a state is beyond them: whatever evaluates or solves may raise these.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 
 
@@ -78,8 +78,7 @@ class Posterior(Density):
                 with np.errstate(over="ignore", invalid="ignore"):
                     cost = next(parts)
             except StopIteration as end:
-                found: Maximum = end.value
-                return found
+                return end.value
             yield cost
 
     def averaged(
@@ -98,13 +97,7 @@ class Posterior(Density):
     def solutions_in_parts(
         self, points: Points, starts: Sequence[Array], scales: Scales
     ) -> Parts[list[Solution]]:
-        """Return the posterior about each of the maxima that the starts lead to, the best first.
-
-        Raises
-        ------
-        FloatingPointError
-            If no start has a finite stress.
-        """
+        """Return the posterior about each maximum that the starts lead to, the best first."""
         found: list[Solution] = []
         # Roughly: most starts lead to the same maximum, which is then refined once.
         seen: list[Maximum] = []
@@ -151,7 +144,8 @@ class Posterior(Density):
         found = yield from self.averaged(points, best, self.grid)
         while found.best_scales not in seen:
             seen.append(found.best_scales)
-            best = yield from self._again(points, best, found.best_scales)
+            scales, known = found.best_scales, best.evaluation
+            best = yield from self.maximum(points, best.state, scales, known=known)
             found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
@@ -160,11 +154,6 @@ class Posterior(Density):
 
         The maximum is nearly found, and only the scales beside the best one before are weighed;
         where another is better now, all are.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is not finite at the state.
         """
         scales = before.best_scales
         # Other scales are tried after 12 steps; a growing record takes one to five.
@@ -185,12 +174,8 @@ class Posterior(Density):
     def _at_its_scales(self, points: Points, begun: Maximum) -> Parts[Solution]:
         """Return the solution about the maximum at the scales that are best where it begins."""
         chosen = (yield from self.averaged(points, begun, self.grid)).best_scales
-        best = yield from self._again(points, begun, chosen)
+        best = yield from self.maximum(points, begun.state, chosen, known=begun.evaluation)
         return (yield from self.averaged(points, best, self.grid))
-
-    def _again(self, points: Points, begun: Maximum, scales: Scales) -> Parts[Maximum]:
-        """Return the maximum at other scales, from that of some."""
-        return self.maximum(points, begun.state, scales, known=begun.evaluation)
 
     def given(
         self,
@@ -204,11 +189,6 @@ class Posterior(Density):
         """Return the posterior given the unknown at a place, at one place of the grid.
 
         `most`: steps at most; `known`: the evaluation at the state.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is not finite at the state.
         """
         best = yield from self.maximum(points, state, scales, most, place, known)
         return (yield from self.averaged(points, best, (WeighedScales(scales),), place))

@@ -92,7 +92,7 @@ class PosteriorEstimator(Estimator):
         """
         before = other.estimate()
         last = Tissue(before.mean, before.covariance)
-        other._carry()
+        other.put_away()
         other._pasts.wait(other._time)
         self._pasts.may_be_of(other._pasts, shift, last, log_wider)
         self._compression_sd = other._compression_sd
@@ -165,7 +165,7 @@ class PosteriorEstimator(Estimator):
 
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
-        self._carry()
+        self.put_away()
         self._pasts.wait(self._time)
         hypotheses = self._pasts.hypotheses(bias_sd, drift_sd, way)
         settings = [one.setting for one in hypotheses]
@@ -180,10 +180,6 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._time += step
         self.press.take(Sample(self._time, compression, stress), step, is_free=is_free)
-
-    def put_away(self) -> None:
-        """Keep of the last contact what the next one goes on from."""
-        self._carry()
 
     def rest(self, duration: float) -> None:
         """Let time [s] pass between two contacts."""
@@ -240,7 +236,7 @@ class PosteriorEstimator(Estimator):
             if one.rivals is not None:
                 one.past.mismatch_probability = one.rivals.probability
 
-    def _carry(self) -> None:
+    def put_away(self) -> None:
         """Make the posterior of the press the prior of the next, for each past that it leaves."""
         press, self.press = self.press, None
         if press is None:

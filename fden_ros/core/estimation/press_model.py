@@ -311,11 +311,6 @@ class PressModel:
         """Return the stress of every block with its derivatives.
 
         `going_on`: from where the response goes on; None: the record begins at rest.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
         """
         points = self.motion.moved(points, state)
         _, rows = self._law(state)
@@ -330,13 +325,7 @@ class PressModel:
         return found
 
     def response(self, points: Points, state: Array) -> Evaluation:
-        """Return the stress of every block without its derivatives.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the stress of every block without its derivatives."""
         points = self.motion.moved(points, state)
         surface, _ = self.surface.at(points, state)
         return self._evaluated(points, state, surface, None, ResponseState(0))

@@ -158,7 +158,11 @@ class PressPosterior:
         self._watch.add(blocks, now, innovation.normalized_squared)
         if self._watch.is_asked:
             self._look(now)
-        elif self._begun is None and not is_past and self._is_due:
+        elif (
+            self._begun is None
+            and not is_past
+            and self._schedule.is_due(self._elapsed, self.intake.record.max_compression, self.best)
+        ):
             if self._watch.is_placing_due(now):
                 self._watch.begin_placing(self.best, self.intake)
             else:
@@ -200,10 +204,6 @@ class PressPosterior:
     def _elapsed(self) -> float:
         """Time since the touch [s]."""
         return self.intake.now - self._start
-
-    @property
-    def _is_due(self) -> bool:
-        return self._schedule.is_due(self._elapsed, self.intake.record.max_compression, self.best)
 
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""

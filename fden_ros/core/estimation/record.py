@@ -318,7 +318,8 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
     bends = np.zeros_like(times)
     # A slope counts by half at three of its standard deviations: friction and delay would else
     # meet the noise of the motion in a hold, which makes them less than they are.
-    speeds = _above_noise(slope, 3.0 * noise_sd * slope_sd)[block]
+    square, noise = slope**2, (3.0 * noise_sd * slope_sd) ** 2
+    speeds = (slope * square / np.where(square > 0.0, square + noise, 1.0))[block]
     if times.size > 2:
         bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
         speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
@@ -340,10 +341,3 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
         stresses=stress[observed],
         moments=loops.moments(elapsed),
     )
-
-
-def _above_noise(slopes: Array, noise: Array) -> Array:
-    """Return slopes as far as they are above their noise [1/s]."""
-    square = slopes**2
-    result: Array = slopes * square / np.where(square > 0.0, square + noise**2, 1.0)
-    return result

@@ -48,8 +48,7 @@ def motion_evidence(press: PressPosterior) -> list[float] | None:
         points, maximum = one.points(press.intake.record.points()), solved.best.maximum
         own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
         found.append(math.log(weight) + np.array(own) - max(own))
-    result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()
-    return result
+    return np.logaddexp.reduce(found, axis=0).tolist()
 
 
 def rig_after(press: PressPosterior) -> RigKnowledge | None:

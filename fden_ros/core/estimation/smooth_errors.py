@@ -39,8 +39,7 @@ REFERENCE_STRAIN = 0.1
 def hats(places: Array, knots: Array) -> Array:
     """Return the hat functions of evenly spaced knots at places, shape (places, knots)."""
     at = np.clip((places - knots[0]) / (knots[1] - knots[0]), 0.0, knots.size - 1.0)
-    result: Array = np.maximum(1.0 - np.abs(at[:, None] - np.arange(knots.size)), 0.0)
-    return result
+    return np.maximum(1.0 - np.abs(at[:, None] - np.arange(knots.size)), 0.0)
 
 
 #: Weight of each knot of the kernel's error at each rate, then at slower and faster ones.
@@ -51,14 +50,6 @@ def strain_range(largest: float) -> float:
     """Return the strain of the last knot [1]: the least of 0.02 * 1.25^k above a largest one."""
     ratio = max(largest * 1.05, 0.02) / 0.02
     return 0.02 * 1.25 ** math.ceil(math.log(ratio) / math.log(1.25))
-
-
-def characteristic_knots(last: float) -> Array:
-    """Return the strains about which the splines of the characteristic's error lie [1]."""
-    cells = CHARACTERISTIC_KNOTS - 2
-    middles = np.clip((np.arange(CHARACTERISTIC_KNOTS) - 0.5) / cells, 0.0, 1.0)
-    result: Array = NEAR * last * np.expm1(middles * math.log1p(1.0 / NEAR))
-    return result
 
 
 class LocalSplines(NamedTuple):
@@ -165,6 +156,8 @@ def characteristic_prior(nonlinear_stiffness: float, last: float) -> FieldPrior:
 
 @functools.lru_cache(maxsize=16)
 def _characteristic(last: float) -> tuple[Array, Array]:
-    """Return the knots of the characteristic's error, and their weights at the strain 0.1."""
+    """Return the strains about which the characteristic's splines lie, and these at 0.1 [1]."""
+    middles = (np.arange(CHARACTERISTIC_KNOTS) - 0.5) / (CHARACTERISTIC_KNOTS - 2)
+    knots = NEAR * last * np.expm1(np.clip(middles, 0.0, 1.0) * math.log1p(1.0 / NEAR))
     zero, _ = splines(np.array([REFERENCE_STRAIN]), last, CHARACTERISTIC_KNOTS)
-    return characteristic_knots(last), zero[0]
+    return knots, zero[0]

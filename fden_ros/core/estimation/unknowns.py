@@ -105,8 +105,7 @@ def _shift(size: float, points: Points) -> Array:
 
 def _late(delay: float, touch_speed: float, points: Points) -> Array:
     rates = points.speeds if points.rates is None else points.rates
-    result: Array = delay * (rates - touch_speed)
-    return result
+    return delay * (rates - touch_speed)
 
 
 def _friction(stress: float, length: float, points: Points) -> Array:
@@ -115,13 +114,11 @@ def _friction(stress: float, length: float, points: Points) -> Array:
     pressed = np.maximum(points.mean(points.compressions), 0.0)
     in_contact = pressed**2 / (pressed**2 + STRAIN_FLOOR**2)
     # Below 5e-4 m/s, where friction has half its full square, is a hold.
-    result: Array = stress * in_contact * speed / np.hypot(speed, 5e-4)
-    return result
+    return stress * in_contact * speed / np.hypot(speed, 5e-4)
 
 
 def _drift(slope: float, points: Points) -> Array:
-    result: Array = slope * (points.middles - points.times[0])
-    return result
+    return slope * (points.middles - points.times[0])
 
 
 def _jerk(time: float, size: float, points: Points) -> Array:
@@ -246,8 +243,7 @@ class PressMotion:
         if self._late is not None:
             own = own.copy()
             own[self._late] = 0.0  # it has moved the record
-        result: Array = points.compressions + own @ self.design(points).motions
-        return result
+        return points.compressions + own @ self.design(points).motions
 
     def ends(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the compressions from the origin at the ends of blocks [1], (m,).
@@ -262,8 +258,7 @@ class PressMotion:
 
     def added_stress(self, points: Points, state: Array) -> Array:
         """Return what the unknowns add to the stress of the blocks [Pa], (m,)."""
-        result: Array = self._of_unknowns(state) @ self.design(points).stresses
-        return result
+        return self._of_unknowns(state) @ self.design(points).stresses
 
     def _of_unknowns(self, state: Array) -> Array:
         """Return the state without the law's errors."""

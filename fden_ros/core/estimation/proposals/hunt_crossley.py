@@ -77,13 +77,7 @@ class _HuntCrossley(PressModel):
     def evaluate(
         self, points: Points, state: Array, going_on: ResponseState | None = None
     ) -> Evaluation:
-        """Return the stress of every block with its derivatives.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the stress of every block with its derivatives."""
         points = self.motion.moved(points, state)
         design, moved = self.motion.design(points), len(self.unknowns)
         at = self._elastic(points, state)

@@ -91,8 +91,7 @@ def _rates(question: Question) -> list[int]:
     # From that of a relaxation that has just begun to that of one that is over within a block, as
     # a dashpot's is.
     wanted = np.flatnonzero((RATES * elapsed > 0.3) & (RATES * BLOCK_TIME < 10.0))
-    found: list[int] = (wanted[-3:] if question.at_once else wanted).tolist()
-    return found
+    return (wanted[-3:] if question.at_once else wanted).tolist()
 
 
 def _weighed(
