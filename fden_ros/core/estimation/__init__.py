@@ -47,11 +47,7 @@ from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
 if TYPE_CHECKING:
-    from fden_ros.core.estimation.imagined import (
-        UNSOLVABLE,
-        ImaginedPress,
-        imagined_record,
-    )
+    from fden_ros.core.estimation.imagined import UNSOLVABLE, ImaginedPress, imagined_record
     from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 __all__ = [

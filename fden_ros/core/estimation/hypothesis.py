@@ -131,12 +131,7 @@ class Hypothesis:
         return Hypothesis(self.past, self.setting, (*self.events, event))
 
     def search(
-        self,
-        points: Points,
-        elapsed: float,
-        compression: float,
-        compression_sd: float,
-        care: Care,
+        self, points: Points, elapsed: float, compression: float, compression_sd: float, care: Care
     ) -> Search:
         """Return the search for its solution, given a record as it is given."""
         deepest = self.deepest(compression)

@@ -86,10 +86,7 @@ class Pasts:
         total = float(logsumexp([past.log_odds for past in same]))
         for past in same:
             past.setting = replace(
-                past.setting,
-                config=setting.config,
-                rig=setting.rig,
-                stress_sd=setting.stress_sd,
+                past.setting, config=setting.config, rig=setting.rig, stress_sd=setting.stress_sd
             )
             past.shift += shift
             past.log_odds -= total
@@ -151,11 +148,7 @@ class Pasts:
 
 
 def _carry_over(
-    past: Past,
-    own: Sequence[tuple[float, Hypothesis]],
-    deepest: float,
-    time: float,
-    most: int,
+    past: Past, own: Sequence[tuple[float, Hypothesis]], deepest: float, time: float, most: int
 ) -> None:
     """Put what a press has told into a past: all of its own hypotheses, in a few Gaussians.
 

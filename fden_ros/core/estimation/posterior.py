@@ -24,12 +24,7 @@ from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import (
-    Solution,
-    averaged,
-    cost_of,
-    log_evidence,
-)
+from fden_ros.core.estimation.solution import Solution, averaged, cost_of, log_evidence
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them: whatever evaluates or solves may raise these.
@@ -82,11 +77,7 @@ class Posterior(Density):
             yield cost
 
     def averaged(
-        self,
-        points: Points,
-        best: Maximum,
-        grid: Sequence[WeighedScales],
-        held: int | None = None,
+        self, points: Points, best: Maximum, grid: Sequence[WeighedScales], held: int | None = None
     ) -> Parts[Solution]:
         """Return the mixture over a grid of scales: see :func:`averaged`."""
         with np.errstate(over="ignore", invalid="ignore"):

@@ -19,14 +19,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.loops import (
-    By,
-    Columns,
-    Evaluation,
-    LawState,
-    ResponseState,
-    Steps,
-)
+from fden_ros.core.estimation.loops import By, Columns, Evaluation, LawState, ResponseState, Steps
 from fden_ros.core.estimation.smooth_errors import (
     CHARACTERISTIC_KNOTS,
     KERNEL_HATS,

@@ -171,13 +171,7 @@ def unknowns_of(
             rig,
             stress=partial(_friction, per_force * unsure.friction_sd, length),
         ),
-        Unknown(
-            "drift",
-            0.0,
-            drift_sd,
-            Lifetime.CONTACT,
-            stress=partial(_drift, drift_sd),
-        ),
+        Unknown("drift", 0.0, drift_sd, Lifetime.CONTACT, stress=partial(_drift, drift_sd)),
     )
     # The first four are always there, so that they have a place; what has no prior is known.
     return tuple(u for k, u in enumerate(found) if k <= ORIGIN or u.sd > 0.0)
