@@ -46,11 +46,11 @@ _LEFT: Mapping[str, tuple[Row, float]] = {
 
 def budget_of(setting: PressSetting, solved: Solved) -> Budget:
     """Return the budget of a solution of a press."""
-    whole = _Press(solved)
-    variances = whole.without("")
+    variances = _without(solved, "")
     thickness = setting.config.uncertainty.thickness_sd**2
     parts = {
-        name: tuple(np.maximum(variances - whole.without(name), 0.0).tolist()) for name in SOURCES
+        name: tuple(np.maximum(variances - _without(solved, name), 0.0).tolist())
+        for name in SOURCES
     }
     considered = solved.best.considered
     if considered is not None:
@@ -63,40 +63,32 @@ def budget_of(setting: PressSetting, solved: Solved) -> Budget:
     return Budget((log_g, log_gn), parts, setting.stress_sd, surface_sd)
 
 
-class _Press:
-    """The posterior about the best maximum, of which single sources can be made known."""
+def _without(solved: Solved, source: str) -> Array:
+    """Return the variances of ln G and ln Gn about the best maximum, with a source known, (2,)."""
+    maximum, error_model = solved.best.maximum, solved.posterior.error_model
+    errors, (_, _, roughness, motion) = maximum.errors, maximum.scales
+    if source in _LEFT:
+        row, left = _LEFT[source]
+        rows = errors.rows.copy()
+        rows[row] *= left
+        errors = replace(errors, rows=rows)
+    if source == "drift":
+        error_model = replace(error_model, noise=replace(error_model.noise, zero=0.0))
+    roughness = 0.0 if source == "law" else roughness
+    white = error_model.whitened(maximum.evaluation.jacobian, errors, roughness, motion)
+    normal = white.T @ white + solved.posterior.precision(maximum.state, maximum.scales)
+    return np.array([_variance(solved, normal, k, source) for k in (LOG_G, LOG_GN)])
 
-    def __init__(self, solved: Solved) -> None:
-        maximum = solved.best.maximum
-        self._model, self._known = solved.model, solved.posterior.known
-        self._rows, self._errors = maximum.evaluation.jacobian, maximum.errors
-        self._scales = maximum.scales
-        self._precision = solved.posterior.precision(maximum.state, maximum.scales)
-        self._error_model = solved.posterior.error_model
 
-    def without(self, source: str) -> Array:
-        """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
-        errors, error_model = self._errors, self._error_model
-        if source in _LEFT:
-            row, left = _LEFT[source]
-            rows = errors.rows.copy()
-            rows[row] *= left
-            errors = replace(errors, rows=rows)
-        if source == "drift":
-            error_model = replace(error_model, noise=replace(error_model.noise, zero=0.0))
-        roughness = 0.0 if source == "law" else self._scales.roughness
-        white = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
-        normal = white.T @ white + self._precision
-        return np.array([self._variance(normal, k, source) for k in (LOG_G, LOG_GN)])
-
-    def _variance(self, normal: Array, place: int, source: str) -> float:
-        """Return the variance of an unknown without those of a source but itself."""
-        names = SOURCES.get(source, ())
-        gone = {k for k, u in enumerate(self._model.unknowns) if u.name in names} - {place}
-        if source == "law":
-            gone |= set(range(self._model.kernel.start, self._model.characteristic.stop))
-        free = [k for k in range(self._model.size) if k not in gone | set(self._known.tolist())]
-        if place not in free:
-            return 0.0
-        towards = np.array([float(k == place) for k in free])
-        return float(towards @ loops.solve(normal[np.ix_(free, free)], towards))
+def _variance(solved: Solved, normal: Array, place: int, source: str) -> float:
+    """Return the variance of an unknown without those of a source but itself."""
+    names, model = SOURCES.get(source, ()), solved.model
+    gone = {k for k, u in enumerate(model.unknowns) if u.name in names} - {place}
+    gone |= set(solved.posterior.known.tolist())
+    if source == "law":
+        gone |= set(range(model.kernel.start, model.characteristic.stop))
+    free = [k for k in range(model.size) if k not in gone]
+    if place in gone:
+        return 0.0
+    towards = np.array([float(k == place) for k in free])
+    return float(towards @ loops.solve(normal[np.ix_(free, free)], towards))

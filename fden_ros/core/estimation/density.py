@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -75,8 +75,8 @@ class Priors(NamedTuple):
             raise FloatingPointError("errors without a size have no prior")
         result = self.base.copy()
         places = self.model.kernel, self.model.characteristic
-        for place, field, scale in zip(places, self.fields, scales[:2], strict=True):
-            result[place, place] = field.precision / scale**2
+        for place, own, scale in zip(places, self.fields, scales[:2], strict=True):
+            result[place, place] = own.precision / scale**2
         return result
 
     def equations(self, about: Linear, off: Array, held: Collection[int]) -> loops.Scaled:
@@ -86,7 +86,7 @@ class Priors(NamedTuple):
         """
         kernel, characteristic = None, None
         if self.fields is not None:
-            kernel, characteristic = (field.precision for field in self.fields)
+            kernel, characteristic = (own.precision for own in self.fields)
         places = self.model.kernel.start, self.model.characteristic.start
         stays = sum(1 << place for place in held)
         normal = about.towards, about.normal, self.base, off
@@ -140,25 +140,21 @@ class Maximum:
     is_at_bound: bool = False  #: alpha is at an end of what there is, and wants beyond
 
 
+@dataclass(eq=False)
 class Density:
-    """Prior, model and errors of a press.
+    """Prior, model and errors of a press."""
 
-    Parameters
-    ----------
-    has_field_prior : bool
-        The law's errors have the priors of the scales, not that of the belief.
-    """
+    model: PressModel
+    error_model: ErrorModel
+    belief: Belief
+    #: The law's errors have the priors of the scales, not that of the belief.
+    has_field_prior: bool = field(kw_only=True)
+    limit: Limit = field(default_factory=Limit, init=False)  #: of what maxima may cost
 
-    def __init__(
-        self, model: PressModel, error_model: ErrorModel, belief: Belief, *, has_field_prior: bool
-    ) -> None:
-        self.model, self.error_model, self.belief = model, error_model, belief
-        self._has_field_prior = has_field_prior
-        #: Of what maxima may cost.
-        self.limit = Limit()
-        self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
-        #: Unknowns that are known.
-        self.known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])
+    def __post_init__(self) -> None:
+        """Find the unknowns that are known, and those of the rig."""
+        self.known = np.flatnonzero([u.sd == 0.0 for u in self.model.unknowns])
+        self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in self.model.unknowns])
 
     def priors(self, state: Array) -> Priors:
         """Return the priors at a state.
@@ -170,7 +166,7 @@ class Density:
             root = np.ones(base.shape[0])
             root[: self._of_rig.size][self._of_rig] = np.sqrt(_weights(self._off(state)))
             base = base * np.outer(root, root)
-        if not self._has_field_prior:
+        if not self.has_field_prior:
             return Priors(self.model, base, None)
         characteristic = characteristic_prior(math.exp(state[LOG_GN]), self.model.last_knot)
         kernel = kernel_prior(self.model.order(state))

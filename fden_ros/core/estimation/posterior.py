@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -16,13 +16,11 @@ from scipy.special import logsumexp
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.density import Belief, Density, Maximum
-from fden_ros.core.estimation.error_model import ErrorModel
+from fden_ros.core.estimation.density import Density, Maximum
 from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maximum import MOST_STEPS, MaximumSearch
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
 from fden_ros.core.estimation.solution import Solution, averaged, cost_of, log_evidence
 from fden_ros.core.estimation.unknowns import LAW, ORDER
@@ -31,29 +29,13 @@ from fden_ros.core.estimation.unknowns import LAW, ORDER
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
 
 
+@dataclass(eq=False)
 class Posterior(Density):
-    """The posterior of a press given a record.
+    """The posterior of a press given a record."""
 
-    Parameters
-    ----------
-    has_field_prior : bool
-        The law's errors have the priors of the scales, not that of the belief.
-    order_sd : float
-        Standard deviation of an order that is not learned [1]; it counts in the others'.
-    """
-
-    def __init__(
-        self,
-        model: PressModel,
-        error_model: ErrorModel,
-        belief: Belief,
-        grid: Sequence[WeighedScales],
-        *,
-        has_field_prior: bool,
-        order_sd: float = 0.0,
-    ) -> None:
-        super().__init__(model, error_model, belief, has_field_prior=has_field_prior)
-        self.grid, self._order_sd = grid, order_sd
+    grid: Sequence[WeighedScales]
+    #: Standard deviation of an order that is not learned [1]; it counts in the others'.
+    order_sd: float = field(default=0.0, kw_only=True)
 
     def maximum(
         self,
@@ -123,7 +105,7 @@ class Posterior(Density):
 
         Without what is the same for all priors, and without that of errors with scales.
         """
-        stop = len(self.model.unknowns) if self._has_field_prior else self.model.size
+        stop = len(self.model.unknowns) if self.has_field_prior else self.model.size
         open_ = np.setdiff1d(np.arange(stop), self.known)
         precision = self.belief.precision[np.ix_(open_, open_)]
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
@@ -186,7 +168,7 @@ class Posterior(Density):
 
     def _considered(self, points: Points, found: Solution) -> Solution:
         """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
-        if not self._order_sd:
+        if not self.order_sd:
             return found
         maximum, scales = found.maximum, found.maximum.scales
         found_with_order = self.model.evaluate(points, maximum.state)
@@ -200,7 +182,7 @@ class Posterior(Density):
         normal += self.precision(maximum.state, scales)
         shift = -loops.solve(normal, by_order)
         shift[ORDER] = 1.0
-        return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
+        return replace(found, considered=self.order_sd**2 * np.outer(shift, shift))
 
     def _maxima(
         self, points: Points, starts: Sequence[Array], scales: Scales

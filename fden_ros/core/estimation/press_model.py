@@ -54,46 +54,26 @@ class FreeSurface:
         return self.moments.after(np.maximum(times - self.time, 0.0))
 
 
+@dataclass(eq=False)
 class TissueSurface:
-    """The free surface of one press, with all derivatives.
+    """The free surface of one press, with all derivatives."""
 
-    Parameters
-    ----------
-    unknowns : tuple of Unknown
-        The first of a state.
-    motion : PressMotion
-        Of these.
-    kernel, characteristic : slice
-        Places of the law's errors in a state, which ends with the latter.
-    last_knot : float
-        Strain of the characteristic's last knot [1].
-    free : FreeSurface or None
-        None: the tissue is at rest before the press.
+    unknowns: tuple[Unknown, ...]  #: the first of a state
+    motion: PressMotion  #: of these
+    geometry: Geometry
+    #: Places of the law's errors in a state, which ends with the latter.
+    kernel: slice
+    characteristic: slice
+    last_knot: float  #: strain of the characteristic's last knot [1]
+    free: FreeSurface | None  #: None: the tissue is at rest before the press
+    _moments: tuple[Points, Array] | None = None
 
-    Attributes
-    ----------
-    by_softening : ndarray, shape (size,)
-        By what unknowns change ln G since the last press, which has left less or more by that.
-    """
-
-    def __init__(
-        self,
-        unknowns: tuple[Unknown, ...],
-        motion: PressMotion,
-        geometry: Geometry,
-        kernel: slice,
-        characteristic: slice,
-        last_knot: float,
-        free: FreeSurface | None,
-    ) -> None:
-        self._unknowns, self._motion, self._geometry = unknowns, motion, geometry
-        self._kernel, self._characteristic, self._last_knot = kernel, characteristic, last_knot
-        self._size, self._free = characteristic.stop, free
-        self.by_softening = np.zeros(self._size)
-        self.by_softening[: len(unknowns)] = [
-            u.of_law[LOG_G] if u.of_law else 0.0 for u in unknowns
+    def __post_init__(self) -> None:
+        """Find by what unknowns change ln G since the last press, which left less or more."""
+        self.by_softening = np.zeros(self.characteristic.stop)
+        self.by_softening[: len(self.unknowns)] = [
+            u.of_law[LOG_G] if u.of_law else 0.0 for u in self.unknowns
         ]
-        self._moments: tuple[Points, Array] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return it without what the last record has decided: that is found anew."""
@@ -107,7 +87,7 @@ class TissueSurface:
         """Return the sizes of the changes [1] and their times [s]."""
         found = [
             (value, u.since)
-            for value, u in zip(state, self._unknowns, strict=False)
+            for value, u in zip(state, self.unknowns, strict=False)
             if u.since is not None
         ]
         sizes, times = np.array(found, dtype=float).reshape(-1, 2).T
@@ -115,15 +95,18 @@ class TissueSurface:
 
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
-        points = self._motion.moved(points, state)
-        if self._free is None:
-            result, motions = np.zeros(self._size), self._motion.design(points).motions
-            first = int(np.argmax(self._motion.compressions(points, state) > 0.0))
-            result[: len(self._unknowns)] = motions[:, first]
+        points = self.motion.moved(points, state)
+        if self.free is None:
+            result, motions = (
+                np.zeros(self.characteristic.stop),
+                self.motion.design(points).motions,
+            )
+            first = int(np.argmax(self.motion.compressions(points, state) > 0.0))
+            result[: len(self.unknowns)] = motions[:, first]
         else:
             # Tissue that has not recovered is met where the elastic response passes its surface.
             elastic, by_unknowns = self._elastic(points, state)
-            surface, lifted = self._creep(self._free, points, state)
+            surface, lifted = self._creep(self.free, points, state)
             first = int(np.argmax(elastic > surface))
             result = by_unknowns[:, first] - lifted[:, first]
         size = float(np.linalg.norm(result))
@@ -135,8 +118,8 @@ class TissueSurface:
         None: it is at 0.
         """
         surface, lifted = None, None
-        if self._free is not None:
-            surface, lifted = self._creep(self._free, points, state)
+        if self.free is not None:
+            surface, lifted = self._creep(self.free, points, state)
         ratio = self._change(points, state)
         if ratio is None:
             return surface, lifted
@@ -144,7 +127,7 @@ class TissueSurface:
         added = ratio * elastic
         surface = -added if surface is None else surface - added
         lifted = -ratio * by_unknowns if lifted is None else lifted - ratio * by_unknowns
-        for k, unknown in enumerate(self._unknowns):
+        for k, unknown in enumerate(self.unknowns):
             if unknown.since is not None:
                 lifted[k] -= elastic * (points.times > unknown.since)
         return surface, lifted
@@ -157,45 +140,45 @@ class TissueSurface:
         if self._moments is None or self._moments[0] is not points:
             self._moments = points, free.at(points.times)
         moments, order = self._moments[1], order_of(state)
-        own = KERNEL_HATS[: RATES.size, : self._kernel.stop - self._kernel.start]
-        bend = np.exp(-(own @ state[self._kernel]))
+        own = KERNEL_HATS[: RATES.size, : self.kernel.stop - self.kernel.start]
+        bend = np.exp(-(own @ state[self.kernel]))
         factor = self.softening(state)
         weights = factor * creep_weights(order) * bend
-        lifted = np.zeros((self._size, points.times.size))
+        lifted = np.zeros((self.characteristic.stop, points.times.size))
         lifted[ORDER] = factor * moments @ (creep_slopes(order) * bend)
-        lifted[self._kernel] = -(own * weights[:, None]).T @ moments.T
+        lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
         surface = moments @ weights
         lifted += np.outer(self.by_softening, surface)
         return surface, lifted
 
     def _change(self, points: Points, state: Array) -> Array | None:
         """Return the part of the elastic response that changes add; None: there are none."""
-        if all(unknown.since is None for unknown in self._unknowns):
+        if all(unknown.since is None for unknown in self.unknowns):
             return None
         ratio = np.zeros(points.times.size)
-        for value, unknown in zip(state, self._unknowns, strict=False):
+        for value, unknown in zip(state, self.unknowns, strict=False):
             if unknown.since is not None:
                 ratio += value * (points.times > unknown.since)
         return ratio
 
     def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the elastic response at the points, and its derivatives, (size, points)."""
-        compressions = self._motion.compressions(points, state)
-        if self._geometry.is_one_sided:
+        compressions = self.motion.compressions(points, state)
+        if self.geometry.is_one_sided:
             compressions = np.maximum(compressions, 0.0)
         sizes = np.abs(compressions)
-        strains, slopes, _ = self._geometry.strains(sizes)
+        strains, slopes, _ = self.geometry.strains(sizes)
         found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
-        knots = self._characteristic.stop - self._characteristic.start
-        of_knots, _ = splines(strains, self._last_knot, knots)
-        bend = np.exp(of_knots @ state[self._characteristic])
+        knots = self.characteristic.stop - self.characteristic.start
+        of_knots, _ = splines(strains, self.last_knot, knots)
+        bend = np.exp(of_knots @ state[self.characteristic])
         elastic = found.value * bend
         slope = found.by_strain * slopes * (strains > 0.0) * bend
-        by_unknowns = np.zeros((self._size, sizes.size))
-        by_unknowns[: len(self._unknowns)] = slope * self._motion.design(points).motions
+        by_unknowns = np.zeros((self.characteristic.stop, sizes.size))
+        by_unknowns[: len(self.unknowns)] = slope * self.motion.design(points).motions
         by_unknowns[LOG_G] += elastic
         by_unknowns[LOG_GN] += found.by_log_nonlinear_stiffness * bend
-        by_unknowns[self._characteristic] = elastic * of_knots.T
+        by_unknowns[self.characteristic] = elastic * of_knots.T
         return elastic, by_unknowns
 
 
