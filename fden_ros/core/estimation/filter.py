@@ -32,7 +32,7 @@ from fden_ros.core.estimation.error_model import ErrorModel, Errors, Row
 from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
+from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import MAX_EXPONENT, log_phi
 
 
@@ -115,9 +115,11 @@ class PressFilter:
         p00, p01, p11 = solution.walk.covariance
         self.x = np.empty(n + 2)
         self.x[:n] = solution.mean
-        law = slice(0, LARGEST_STEP.size)
-        self._begun = np.abs(solution.mean - self._about)[law]
-        self._solved = solution.mean[law].copy(), solution.covariance.diagonal()[law].copy()
+        self._begun = np.abs(solution.mean - self._about)[LAW_PLACES]
+        self._solved = (
+            solution.mean[LAW_PLACES].copy(),
+            solution.covariance.diagonal()[LAW_PLACES].copy(),
+        )
         self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
         self.P = np.empty((n + 2, n + 2))
         self.P[:n, :n] = solution.covariance
@@ -139,8 +141,7 @@ class PressFilter:
     @property
     def is_near(self) -> bool:
         """Whether it is still about where it is linear: within one step of a solution."""
-        law = slice(0, LARGEST_STEP.size)
-        off = np.abs(self.x[law] - self._about[law])
+        off = np.abs(self.x[LAW_PLACES] - self._about[LAW_PLACES])
         return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
 
     @property
@@ -157,12 +158,12 @@ class PressFilter:
         It went on by four of them in a hold of a minute.
         """
         mean, variances = self._solved
-        return bool(np.any(np.square(self.x[: mean.size] - mean) > variances))
+        return bool(np.any(np.square(self.x[LAW_PLACES] - mean) > variances))
 
     @property
     def is_beyond_numbers(self) -> bool:
         """Whether no number has its G or Gn."""
-        return not bool(np.all(np.abs(self.x[: LARGEST_STEP.size]) < MAX_EXPONENT))
+        return not bool(np.all(np.abs(self.x[LAW_PLACES]) < MAX_EXPONENT))
 
     @property
     def mean_dwell_time(self) -> float:

@@ -21,7 +21,7 @@ from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.rivals import Rival, Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN, Unknown
+from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
@@ -108,8 +108,8 @@ class Hypothesis:
         if self.past.other is None:
             return log_prior
         mean, covariance = solved.solutions.moments
-        law = slice(0, len(LAW))
-        return log_prior + self.past.other(mean[law], covariance[law, law])
+        told = covariance[LAW_PLACES, LAW_PLACES]
+        return log_prior + self.past.other(mean[LAW_PLACES], told)
 
     def deepest(self, compression: float) -> float:
         """Return the largest compression of the site, after one as it is given [1]."""
@@ -151,10 +151,7 @@ class Hypothesis:
     def take_over(self, solved: Solved, log_evidence: float) -> None:
         """Go on from a solution.
 
-        Parameters
-        ----------
-        log_evidence : float
-            Of all of it, for what was known before the record.
+        `log_evidence`: of all of it, for what was known before the record.
         """
         self.solved, self.misses = solved, 0
         if solved.rivals is not None:

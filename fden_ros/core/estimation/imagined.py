@@ -28,10 +28,8 @@ from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.unknowns import LAW, ORIGIN, Lifetime
+from fden_ros.core.estimation.unknowns import LAW_PLACES, ORIGIN, Lifetime
 from fden_ros.core.law import Geometry
-
-_LAW = slice(0, len(LAW))
 
 
 class ImaginedPress:
@@ -78,7 +76,7 @@ class ImaginedPress:
 
     def _state(self, tissue: Array) -> Array:
         state: Array = self._posterior.belief.mean.copy()
-        state[_LAW] = tissue
+        state[LAW_PLACES] = tissue
         return state
 
     def stress(self, points: Points, tissue: Array) -> Array:
@@ -133,7 +131,7 @@ class ImaginedPress:
         lasting = [u.lifetime is not Lifetime.CONTACT for u in posterior.model.unknowns]
         lasting += [True] * (posterior.model.size - len(lasting))
         covariances = _repeated(normal, prior, np.array(lasting), presses)
-        return np.array([c.diagonal()[_LAW] for c in covariances])
+        return np.array([c.diagonal()[LAW_PLACES] for c in covariances])
 
     def solved(
         self, points: Points, tissue: Array, stress: Array, observed: int
@@ -164,7 +162,7 @@ class ImaginedPress:
 def _given(posterior: Posterior, mean: Array, covariance: Array) -> Posterior:
     """Return a posterior with what is known of the tissue for a prior."""
     means, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
-    means[_LAW] = mean
+    means[LAW_PLACES] = mean
     unknown = np.flatnonzero(covariance.diagonal() > 0.0)
     block = np.ix_(unknown, unknown)
     precision[block] = np.linalg.inv(covariance[block])

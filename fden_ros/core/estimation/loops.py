@@ -156,10 +156,7 @@ class WalkState:
 def moments(durations: Array) -> Array:
     """Return decay and moments of each step, shape (steps, 4, RATES).
 
-    Parameters
-    ----------
-    durations : ndarray, shape (steps,)
-        [s].
+    `durations`: [s], (steps,).
     """
     result = np.empty((durations.size, 4, RATE_COUNT))
     _compiled.moments(durations, RATES, result)

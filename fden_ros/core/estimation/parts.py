@@ -22,10 +22,7 @@ Parts = Generator[int, None, Result]
 class Limit:
     """What a computation may cost in all; beyond it, it ends with what it has.
 
-    Parameters
-    ----------
-    most : float
-        Points evaluated.
+    `most`: points evaluated.
     """
 
     def __init__(self, most: float = math.inf) -> None:
@@ -59,10 +56,7 @@ def ended(parts: Parts[Result]) -> Result:
 class Advanced(Generic[Result]):
     """A computation that is advanced by budgets.
 
-    Parameters
-    ----------
-    begin : callable
-        Begins it; what it computes from does not change.
+    `begin`: begins it; what it computes from does not change.
     """
 
     def __init__(self, begin: Callable[[], Parts[Result]]) -> None:

@@ -24,7 +24,7 @@ from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.unknowns import (
-    LAW,
+    LAW_PLACES,
     LINEAR_DELAY,
     ORIGIN,
     Lifetime,
@@ -233,12 +233,11 @@ def _count_changes(precision: Array, model: PressModel) -> None:
     With the law's parameters x now and a change of them by c times an unknown s, it is told of
     x - c s.
     """
-    law = slice(0, len(LAW))
     for k, unknown in enumerate(model.unknowns):
         if unknown.of_law is None:
             continue
-        by_change = precision[:, law] @ np.array(unknown.of_law)
-        precision[k, k] += by_change[law] @ np.array(unknown.of_law)
+        by_change = precision[:, LAW_PLACES] @ np.array(unknown.of_law)
+        precision[k, k] += by_change[LAW_PLACES] @ np.array(unknown.of_law)
         precision[k] -= by_change
         precision[:, k] -= by_change
 

@@ -265,10 +265,7 @@ class Record:
     def see_way(self, way: Array) -> None:
         """Take the way of the probe before the first sample.
 
-        Parameters
-        ----------
-        way : ndarray, shape (3, n)
-            Times [s], compressions [1] and stresses [Pa].
+        `way`: times [s], compressions [1] and stresses [Pa], (3, n).
         """
         self._approach.see_way(way, self._tolerance(1.0))
 

@@ -169,10 +169,8 @@ class RigKnowledge:
     def taught(self, mean: Array, covariance: Array, config: EstimatorConfig) -> RigKnowledge:
         """Return what is known after a contact; where it contradicts this, what is stated.
 
-        Parameters
-        ----------
-        mean, covariance : ndarray, shape (2,), (2, 2)
-            The contact's posterior, started from this knowledge, in the stated deviations.
+        `mean`, `covariance`: the contact's posterior, started from this knowledge, in the stated
+        deviations, (2,), (2, 2).
         """
         uncertainty = config.uncertainty
         stated = RigKnowledge.stated(config)

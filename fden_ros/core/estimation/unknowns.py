@@ -76,6 +76,7 @@ class Unknown:
 
 #: The law's parameters, in the order of a state.
 LAW = ("log_g", "log_gn", "order")
+LAW_PLACES = slice(0, len(LAW))
 #: The first places of a state.
 LOG_G, LOG_GN, ORDER, ORIGIN = range(4)
 
@@ -126,13 +127,6 @@ def _jerk(time: float, size: float, points: Points) -> Array:
     return np.where(is_there, size, 0.0)
 
 
-def _delay(sd: float, touch_speed: float) -> Unknown:
-    if sd <= LINEAR_DELAY:
-        return Unknown("delay", 0.0, sd, Lifetime.RIG, motion=partial(_late, sd, 0.0))
-    late = partial(_late, sd, touch_speed)
-    return Unknown("delay", 0.0, sd, Lifetime.RIG, motion=late, touch_speed=touch_speed)
-
-
 def unknowns_of(
     config: EstimatorConfig,
     geometry: Geometry,
@@ -156,14 +150,15 @@ def unknowns_of(
     length, per_force = geometry.length, geometry.stress_per_force
     order_sd = prior.fractional_order_sd if config.learns_fractional_order else 0.0
     site, rig = Lifetime.SITE, Lifetime.RIG
-
+    delay_sd, speed = unsure.delay_sd, touch_speed if unsure.delay_sd > LINEAR_DELAY else None
+    late = partial(_late, delay_sd, speed or 0.0)
     found = (
         Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, By.LOG_G),
         Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, By.LOG_GN),
         Unknown("order", prior.fractional_order, order_sd, site),
         Unknown("origin", 0.0, origin_sd, site, motion=partial(_shift, -origin_sd)),
         Unknown("compliance", 0.0, unsure.compliance_sd, rig, By.COMPLIANCE),
-        _delay(unsure.delay_sd, touch_speed),
+        Unknown("delay", 0.0, delay_sd, rig, motion=late, touch_speed=speed),
         Unknown(
             "friction",
             config.friction / unsure.friction_sd if unsure.friction_sd else 0.0,
@@ -187,10 +182,7 @@ class Design(NamedTuple):
 class PressMotion:
     """The motion of one press.
 
-    Parameters
-    ----------
-    unknowns : tuple of Unknown
-        The first of a state.
+    `unknowns`: the first of a state.
     """
 
     def __init__(self, unknowns: tuple[Unknown, ...]) -> None:
