@@ -158,11 +158,7 @@ class PressPosterior:
         self._watch.add(blocks, now, innovation.normalized_squared)
         if self._watch.is_asked:
             self._look(now)
-        elif (
-            self._begun is None
-            and not is_past
-            and self._schedule.is_due(self._elapsed, self.intake.record.max_compression, self.best)
-        ):
+        elif self._begun is None and not is_past and self._is_due(now):
             if self._watch.is_placing_due(now):
                 self._watch.begin_placing(self.best, self.intake)
             else:
@@ -182,6 +178,10 @@ class PressPosterior:
         elif self._begun is not None and self._begun.found.advance(work):
             self.go_on()
 
+    def _is_due(self, now: float) -> bool:
+        deepest = self.intake.record.max_compression
+        return self._schedule.is_due(now - self._start, deepest, self.best)
+
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
 
@@ -200,11 +200,6 @@ class PressPosterior:
 
     # Solutions
 
-    @property
-    def _elapsed(self) -> float:
-        """Time since the touch [s]."""
-        return self.intake.now - self._start
-
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._schedule.is_over, self._begun = True, None
@@ -219,7 +214,7 @@ class PressPosterior:
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
         """Begin to solve the posterior of the record so far, for all hypotheses."""
-        intake, elapsed = self.intake, self._elapsed
+        intake, elapsed = self.intake, self.intake.now - self._start
         record, points = intake.record, intake.record.points()
         if points.stresses.size < LEAST_BLOCKS or not self._schedule.can_begin:
             return

@@ -3,6 +3,8 @@
 
 r"""What is not known of a press: one object an unknown, with its prior, lifetime and column.
 
+:class:`PressMotion` has what all make of the motion and of the stress that were measured.
+
 The stress of a press is
 
 .. math::
