@@ -20,7 +20,7 @@ from scipy.special import ive
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.loops import LawState
-from fden_ros.core.estimation.unknowns import splines
+from fden_ros.core.estimation.smooth_errors import splines
 from fden_ros.core.law import MAX_EXPONENT
 from fden_ros.core.law import RATE_COUNT as RATES
 from fden_ros.core.law import RATES as RATE_VALUES

@@ -16,11 +16,7 @@ from scipy.stats import multivariate_normal
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.loops import (
-    BY_COMPLIANCE,
-    BY_FIRST_KNOT,
-    BY_LOG_G,
-    BY_LOG_GN,
-    BY_NOTHING,
+    By,
     Columns,
     LawState,
     ResponseState,
@@ -60,7 +56,7 @@ BASE = LawState(
 class Column:
     """One derivative of the response."""
 
-    kind: int = BY_NOTHING
+    kind: int = By.NOTHING
     motion: Array | None = None
     surface: Array | None = None
     weights: Array | None = None
@@ -95,13 +91,13 @@ class Case:
         """Derivatives of every kind."""
         size = self.compressions.size
         found = [
-            Column(BY_LOG_G),
-            Column(BY_LOG_GN),
-            Column(BY_COMPLIANCE),
+            Column(By.LOG_G),
+            Column(By.LOG_GN),
+            Column(By.COMPLIANCE),
             Column(motion=np.full(size, -1.0)),
             Column(motion=np.gradient(self.compressions)),
             Column(weights=(weights_of(0.150001) - weights_of(0.149999)) / 2e-6),
-            *(Column(BY_FIRST_KNOT + knot) for knot in range(self.law.bend.size)),
+            *(Column(By.FIRST_KNOT + knot) for knot in range(self.law.bend.size)),
         ]
         if self.surface is not None:
             found.append(Column(surface=self.surface * np.cos(np.arange(size))))
@@ -225,14 +221,14 @@ def test_a_response_in_two_parts_is_whole(case, cut):
 def moved(case: Case, column: Column, change: float) -> Case:
     """The case with what a column is by moved by `change`."""
     law = case.law
-    if column.kind == BY_LOG_G:
+    if column.kind == By.LOG_G:
         law = replace(law, linear_stiffness=law.linear_stiffness * np.exp(change))
-    elif column.kind == BY_LOG_GN:
+    elif column.kind == By.LOG_GN:
         law = replace(law, nonlinear_stiffness=law.nonlinear_stiffness * np.exp(change))
-    elif column.kind == BY_COMPLIANCE:
+    elif column.kind == By.COMPLIANCE:
         law = replace(law, compliance=law.compliance + change)
-    elif column.kind >= BY_FIRST_KNOT:
-        knot = column.kind - BY_FIRST_KNOT
+    elif column.kind >= By.FIRST_KNOT:
+        knot = column.kind - By.FIRST_KNOT
         law = replace(law, bend=law.bend + change * (np.arange(law.bend.size) == knot))
     elif column.weights is not None:
         law = replace(law, weights=law.weights + change * column.weights)

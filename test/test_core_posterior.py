@@ -29,16 +29,16 @@ from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.filter import PressFilter
-from fden_ros.core.estimation.linear_range import LinearRange
+from fden_ros.core.estimation.filter import LinearRange, PressFilter
 from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Record
 from fden_ros.core.estimation.scales import scales_of
+from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import Unknown, strain_range, unknowns_of
+from fden_ros.core.estimation.unknowns import Unknown, unknowns_of
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, phi
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
@@ -133,7 +133,8 @@ def posterior_of(
     mean[: len(unknowns)] = [u.mean for u in unknowns]
     places = np.arange(len(unknowns))
     precision[places, places] = [u.unit**-2.0 for u in unknowns]
-    errors = ErrorModel(model, uncertainty, Noise(press.noise, press.motion_noise))
+    noise = Noise(press.noise, press.motion_noise)
+    errors = ErrorModel(GEOMETRY, uncertainty, noise, model.conditions)
     grid = scales_of(uncertainty)
     return Posterior(model, errors, Belief(mean, precision), grid, has_field_prior=is_bent)
 

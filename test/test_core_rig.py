@@ -20,15 +20,15 @@ from benchmark import presses
 from benchmark.presses import CASES, PRIOR, scenario_of, trial_of
 from benchmark.trial import truth_of
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, RigKnowledge, drift_evidence
-from fden_ros.core.estimation.learned_scales import (
+from fden_ros.core.estimation.proposals.place import Tissue as Belief
+from fden_ros.core.estimation.proposals.place import log_ratio
+from fden_ros.core.estimation.record import Record
+from fden_ros.core.estimation.rig_knowledge import (
     LEAST_SHARE,
     NO_MOTION_EVIDENCE,
     motion_share,
     pooled,
 )
-from fden_ros.core.estimation.proposals.place import Tissue as Belief
-from fden_ros.core.estimation.proposals.place import log_ratio
-from fden_ros.core.estimation.record import Record
 from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
 from simulation.scenario import (
     DisplacementSensor,

@@ -55,7 +55,7 @@ from fden_ros.core.estimation import (
     maximum,
     press_estimate,
     scales,
-    unknowns,
+    smooth_errors,
     whiteness,
 )
 from fden_ros.core.estimation.proposals import change
@@ -393,7 +393,7 @@ SAID = [
     ("msg_defs/msg/PalpationSummary.msg", "above {} of the largest strain", law_error._LOADED),
     ("docs/design.md", "innovation beyond {:g} deviations", whiteness.NO_CHANCE),
     ("docs/design.md", "by less than {:.4f}", maximum.CONVERGED),
-    ("docs/design.md", "u^2 / (u^2 + {}^2)", unknowns.STRAIN_FLOOR),
+    ("docs/design.md", "u^2 / (u^2 + {}^2)", smooth_errors.STRAIN_FLOOR),
     ("docs/design.md", "log evidence gains {}", change.THRESHOLD),
     ("docs/design.md", "at most {} apart", 2.0 * paper_filter._MEMBER_SD),
     ("docs/design.md", "with a probability of {:.0e}", air._CHANCE),

@@ -18,7 +18,7 @@ from fden_ros.core.estimation.ahead import (
     kernel_change,
     other_along,
 )
-from fden_ros.core.estimation.block import TOUCH_TIME
+from fden_ros.core.estimation.block import TOUCH_TIME, Points
 from fden_ros.core.estimation.claims import (
     EDGE,
     Reservations,
@@ -47,21 +47,15 @@ from fden_ros.core.estimation.estimator_config import (
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.learned_scales import drift_evidence
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import Advanced, Parts, ended
-from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_knowledge import RigKnowledge, drift_evidence
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
 if TYPE_CHECKING:
-    from fden_ros.core.estimation.imagined import (
-        UNSOLVABLE,
-        ImaginedPress,
-        imagined_record,
-    )
+    from fden_ros.core.estimation.imagined import UNSOLVABLE, ImaginedPress, imagined_record
     from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 __all__ = [

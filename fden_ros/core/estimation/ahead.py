@@ -16,11 +16,11 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import BLOCK_TIME
 from fden_ros.core.estimation.error_model import SURFACE_TIME
 from fden_ros.core.estimation.estimate import OtherLaw, OtherLawKind
 from fden_ros.core.estimation.loops import LawState, ResponseState, Steps
-from fden_ros.core.estimation.record import BLOCK_TIME
-from fden_ros.core.estimation.unknowns import KERNEL_LENGTH, REFERENCE_STRAIN, STRAIN_FLOOR
+from fden_ros.core.estimation.smooth_errors import KERNEL_LENGTH, REFERENCE_STRAIN, STRAIN_FLOOR
 from fden_ros.core.law import (
     HIGHEST_ORDER,
     LOWEST_ORDER,

@@ -12,11 +12,6 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import LINE_TOLERANCE, SAME_TIME, TOUCH_TIME, Cell
 
-#: A probe is taken to have come along its line for at most this time [s].
-_LONGEST = 1.0
-#: The way of the probe that was seen before the touch makes at most 12 blocks [1].
-_MOST_CELLS = 12
-
 
 class ApproachMotion:
     """The motion before the first block.
@@ -51,11 +46,11 @@ class ApproachMotion:
         behind = np.flatnonzero(compressions < nominal - self._reach + tolerance)
         first = int(behind[-1]) if behind.size else int(np.argmin(compressions))
         times, compressions, _ = own = way[:, first:]
-        # Parts as long as each other, in time and in the way forward together.
+        # At most 12 parts as long as each other, in time and in the way forward together.
         forward = np.maximum.accumulate(compressions)
         gone = (times - times[0]) / max(np.ptp(times), SAME_TIME)
         gone += (forward - forward[0]) / max(np.ptp(forward), LINE_TOLERANCE)
-        places = np.searchsorted(gone, np.linspace(0.0, gone[-1], _MOST_CELLS + 1)[1:-1])
+        places = np.searchsorted(gone, np.linspace(0.0, gone[-1], 13)[1:-1])
         for part in np.split(own, np.unique(places), axis=1):
             if part.size:
                 cell = Cell(float(part[0, 0]), True)
@@ -79,7 +74,8 @@ class ApproachMotion:
         speed, first = np.polyfit(times, compressions, 1).tolist()
         # Tissue that has not recovered from an earlier press is met where the record begins.
         gone = first if self._is_at_rest else min(first, 0.0)
-        missing = min(gone + self._reach, _LONGEST * speed)
+        # A probe is taken to have come along its line for at most 1 s.
+        missing = min(gone + self._reach, 1.0 * speed)
         if missing <= 0.0:
             return []
         if self._way and missing > TOUCH_TIME * speed:

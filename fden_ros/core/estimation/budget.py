@@ -16,7 +16,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.error_model import ErrorModel, Noise
+from fden_ros.core.estimation.error_model import Row
 from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Solved
@@ -37,27 +37,21 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
 }
 #: Rows of the errors, and what is left of their variances where they are known [1]: with no noise
 #: there would be nothing to weigh by.
-_LEFT: Mapping[str, tuple[int, float]] = {
-    "noise": (0, 1e-8),
-    "drift": (3, 0.0),
-    "motion": (4, 0.0),
+_LEFT: Mapping[str, tuple[Row, float]] = {
+    "noise": (Row.NOISE, 1e-8),
+    "drift": (Row.DRIFT, 0.0),
+    "motion": (Row.MOTION, 0.0),
 }
 
 
-def budget_of(setting: PressSetting, solved: Solved, compression_sd: float) -> Budget:
-    """Return the budget of a solution of a press.
-
-    Parameters
-    ----------
-    setting : PressSetting
-    solved : Solved
-    compression_sd : float
-        Standard deviation of a sample's compression [1].
-    """
-    whole = _Press(setting, solved, compression_sd)
-    variances = whole.without("")
+def budget_of(setting: PressSetting, solved: Solved) -> Budget:
+    """Return the budget of a solution of a press."""
+    variances = _without(solved, "")
     thickness = setting.config.uncertainty.thickness_sd**2
-    parts = {name: _part(variances, whole.without(name)) for name in SOURCES}
+    parts = {
+        name: tuple(np.maximum(variances - _without(solved, name), 0.0).tolist())
+        for name in SOURCES
+    }
     considered = solved.best.considered
     if considered is not None:
         order = considered.diagonal()[[LOG_G, LOG_GN]]
@@ -69,47 +63,32 @@ def budget_of(setting: PressSetting, solved: Solved, compression_sd: float) -> B
     return Budget((log_g, log_gn), parts, setting.stress_sd, surface_sd)
 
 
-def _part(whole: Array, without: Array) -> tuple[float, float]:
-    log_g, log_gn = np.maximum(whole - without, 0.0).tolist()
-    return log_g, log_gn
+def _without(solved: Solved, source: str) -> Array:
+    """Return the variances of ln G and ln Gn about the best maximum, with a source known, (2,)."""
+    maximum, error_model = solved.best.maximum, solved.posterior.error_model
+    errors, (_, _, roughness, motion) = maximum.errors, maximum.scales
+    if source in _LEFT:
+        row, left = _LEFT[source]
+        rows = errors.rows.copy()
+        rows[row] *= left
+        errors = replace(errors, rows=rows)
+    if source == "drift":
+        error_model = replace(error_model, noise=replace(error_model.noise, zero=0.0))
+    roughness = 0.0 if source == "law" else roughness
+    white = error_model.whitened(maximum.evaluation.jacobian, errors, roughness, motion)
+    normal = white.T @ white + solved.posterior.precision(maximum.state, maximum.scales)
+    return np.array([_variance(solved, normal, k, source) for k in (LOG_G, LOG_GN)])
 
 
-class _Press:
-    """The posterior about the best maximum, of which single sources can be made known."""
-
-    def __init__(self, setting: PressSetting, solved: Solved, compression_sd: float) -> None:
-        maximum = solved.best.maximum
-        self._model, self._known = solved.model, solved.posterior.known
-        self._rows, self._errors = maximum.evaluation.jacobian, maximum.errors
-        self._scales = maximum.scales
-        self._precision = solved.posterior.precision(maximum.state, maximum.scales)
-        self._noise = Noise(setting.stress_sd, compression_sd, setting.zero_sd)
-        self._uncertainty = setting.config.uncertainty
-
-    def without(self, source: str) -> Array:
-        """Return the variances of ln G and ln Gn, shape (2,), with a source known."""
-        errors, noise = self._errors, self._noise
-        if source in _LEFT:
-            row, left = _LEFT[source]
-            rows = errors.rows.copy()
-            rows[row] *= left
-            errors = replace(errors, rows=rows)
-        if source == "drift":
-            noise = replace(noise, zero=0.0)
-        roughness = 0.0 if source == "law" else self._scales.roughness
-        error_model = ErrorModel(self._model, self._uncertainty, noise)
-        white = error_model.whitened(self._rows, errors, roughness, self._scales.motion)
-        normal = white.T @ white + self._precision
-        return np.array([self._variance(normal, k, source) for k in (LOG_G, LOG_GN)])
-
-    def _variance(self, normal: Array, place: int, source: str) -> float:
-        """Return the variance of an unknown without those of a source but itself."""
-        names = SOURCES.get(source, ())
-        gone = {k for k, u in enumerate(self._model.unknowns) if u.name in names} - {place}
-        if source == "law":
-            gone |= set(range(self._model.kernel.start, self._model.characteristic.stop))
-        free = [k for k in range(self._model.size) if k not in gone | set(self._known.tolist())]
-        if place not in free:
-            return 0.0
-        towards = np.array([float(k == place) for k in free])
-        return float(towards @ loops.solve(normal[np.ix_(free, free)], towards))
+def _variance(solved: Solved, normal: Array, place: int, source: str) -> float:
+    """Return the variance of an unknown without those of a source but itself."""
+    names, model = SOURCES.get(source, ()), solved.model
+    gone = {k for k, u in enumerate(model.unknowns) if u.name in names} - {place}
+    gone |= set(solved.posterior.known.tolist())
+    if source == "law":
+        gone |= set(range(model.kernel.start, model.characteristic.stop))
+    free = [k for k in range(model.size) if k not in gone]
+    if place in gone:
+        return 0.0
+    towards = np.array([float(k == place) for k in free])
+    return float(towards @ loops.solve(normal[np.ix_(free, free)], towards))

@@ -47,9 +47,6 @@ class Reservations(NamedTuple):
     is_doubtful: bool = False  #: the newest data are not explained yet
 
 
-#: The data have determined ln G or alpha when its standard deviation is below this part of its
-#: prior's [1]: then they say three times as much as the prior.
-_LEARNED = 0.5
 #: Standard deviations of the prior beyond which an estimate contradicts it [1].
 EDGE = 3.0
 
@@ -102,13 +99,13 @@ def determined(
 
     Parameters
     ----------
-    config : EstimatorConfig
     deviations : ndarray, shape (3,)
         Standard deviations of (ln G, ln Gn, alpha) [1].
     probability_beyond_boundary : float
         P(largest strain > 1/Gn) [1].
     """
-    log_g, _, order = (deviations < _LEARNED * config.prior.deviations).tolist()
+    # Below half of the prior's deviation the data say three times as much as the prior.
+    log_g, _, order = (deviations < 0.5 * config.prior.deviations).tolist()
     found = ParameterSet.NONE
     if probability_beyond_boundary >= config.converged_probability:
         # A stress-strain curve that is seen to bend has a scale, too.

@@ -7,29 +7,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import ErrorModel, Errors
-from fden_ros.core.estimation.loops import WalkState
+from fden_ros.core.estimation.loops import Evaluation, WalkState
 from fden_ros.core.estimation.parts import Limit
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.scales import Scales
-from fden_ros.core.estimation.unknowns import (
+from fden_ros.core.estimation.smooth_errors import (
     CHARACTERISTIC_KNOTS,
     KERNEL_KNOTS,
-    LOG_GN,
     FieldPrior,
-    Lifetime,
     characteristic_prior,
     kernel_prior,
 )
+from fden_ros.core.estimation.unknowns import LOG_GN, Lifetime
 
+#: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
+EVALUATION_COST = 150
 #: Degrees of freedom of what is stated of a rig [1].
 _TAIL_DEGREES = 2.0
 
@@ -74,8 +75,8 @@ class Priors(NamedTuple):
             raise FloatingPointError("errors without a size have no prior")
         result = self.base.copy()
         places = self.model.kernel, self.model.characteristic
-        for place, field, scale in zip(places, self.fields, scales[:2], strict=True):
-            result[place, place] = field.precision / scale**2
+        for place, own, scale in zip(places, self.fields, scales[:2], strict=True):
+            result[place, place] = own.precision / scale**2
         return result
 
     def equations(self, about: Linear, off: Array, held: Collection[int]) -> loops.Scaled:
@@ -85,7 +86,7 @@ class Priors(NamedTuple):
         """
         kernel, characteristic = None, None
         if self.fields is not None:
-            kernel, characteristic = (field.precision for field in self.fields)
+            kernel, characteristic = (own.precision for own in self.fields)
         places = self.model.kernel.start, self.model.characteristic.start
         stays = sum(1 << place for place in held)
         normal = about.towards, about.normal, self.base, off
@@ -104,8 +105,7 @@ class Priors(NamedTuple):
             return np.zeros_like(scales)
         if not scales.all():
             raise FloatingPointError("errors without a size have no prior")
-        result: Array = scales**-2.0
-        return result
+        return scales**-2.0
 
     def log_determinant(self, scales: Scales) -> float:
         """Return the logarithm of the precision's determinant, but for what is the same to all."""
@@ -128,28 +128,33 @@ class Linear(NamedTuple):
     walk: WalkState  #: the walks at the end of the record
 
 
+@dataclass(frozen=True)
+class Maximum:
+    """A maximum of the posterior at given scales."""
+
+    state: Array  #: shape (n,)
+    evaluation: Evaluation  #: of the model there
+    errors: Errors  #: the error processes there
+    scales: Scales
+    is_solved: bool  #: it wants no further step
+    is_at_bound: bool = False  #: alpha is at an end of what there is, and wants beyond
+
+
+@dataclass(eq=False)
 class Density:
-    """Prior, model and errors of a press.
+    """Prior, model and errors of a press."""
 
-    Parameters
-    ----------
-    model : PressModel
-    error_model : ErrorModel
-    belief : Belief
-    has_field_prior : bool
-        The law's errors have the priors of the scales, not that of the belief.
-    """
+    model: PressModel
+    error_model: ErrorModel
+    belief: Belief
+    #: The law's errors have the priors of the scales, not that of the belief.
+    has_field_prior: bool = field(kw_only=True)
+    limit: Limit = field(default_factory=Limit, init=False)  #: of what maxima may cost
 
-    def __init__(
-        self, model: PressModel, error_model: ErrorModel, belief: Belief, *, has_field_prior: bool
-    ) -> None:
-        self.model, self.error_model, self.belief = model, error_model, belief
-        self._has_field_prior = has_field_prior
-        #: Of what maxima may cost.
-        self.limit = Limit()
-        self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in model.unknowns])
-        #: Unknowns that are known.
-        self.known = np.flatnonzero([u.sd == 0.0 for u in model.unknowns])
+    def __post_init__(self) -> None:
+        """Find the unknowns that are known, and those of the rig."""
+        self.known = np.flatnonzero([u.sd == 0.0 for u in self.model.unknowns])
+        self._of_rig = np.array([u.lifetime is Lifetime.RIG for u in self.model.unknowns])
 
     def priors(self, state: Array) -> Priors:
         """Return the priors at a state.
@@ -161,7 +166,7 @@ class Density:
             root = np.ones(base.shape[0])
             root[: self._of_rig.size][self._of_rig] = np.sqrt(_weights(self._off(state)))
             base = base * np.outer(root, root)
-        if not self._has_field_prior:
+        if not self.has_field_prior:
             return Priors(self.model, base, None)
         characteristic = characteristic_prior(math.exp(state[LOG_GN]), self.model.last_knot)
         kernel = kernel_prior(self.model.order(state))
@@ -181,21 +186,14 @@ class Density:
 
     def _off(self, state: Array) -> Array:
         """Return how far what is stated of the rig is off, in standard deviations."""
-        off: Array = (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
-        return off
+        return (state - self.belief.mean)[: self._of_rig.size][self._of_rig]
 
     def precision(self, state: Array, scales: Scales) -> Array:
         """Return the prior's precision at a state."""
         return self.priors(state).precision(scales)
 
     def evaluate(self, points: Points, state: Array) -> Evaluation:
-        """Return the model at a state; what is known has no derivative.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the model at a state; what is known has no derivative."""
         found = self.model.evaluate(points, state)
         found.jacobian[:, self.known] = 0.0
         return found
@@ -216,5 +214,4 @@ class Density:
 
 def _weights(off: Array) -> Array:
     """Return the weights with which a Gaussian prior pulls as Student's does."""
-    weights: Array = np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)
-    return weights
+    return np.minimum((1.0 + _TAIL_DEGREES) / (off**2 + _TAIL_DEGREES), 1.0)

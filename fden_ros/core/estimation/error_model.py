@@ -20,7 +20,9 @@ last term depends on the sampling.
 
 from __future__ import annotations
 
+import enum
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,24 +30,26 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.estimator_config import Uncertainty
-from fden_ros.core.estimation.loops import WalkState
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME, Points
-from fden_ros.core.estimation.unknowns import LOG_G, STRAIN_FLOOR
-from fden_ros.core.law import apparent_stiffness_factor
+from fden_ros.core.estimation.loops import Evaluation, WalkState
+from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
+from fden_ros.core.estimation.unknowns import LOG_G
+from fden_ros.core.law import Geometry, apparent_stiffness_factor
 
 #: Time for which the tissue's surface moves against its stiffness [s], as found on breathing and
 #: heartbeat: the hereditary form is no better.
 SURFACE_TIME = 0.25
-#: Error of a strain whose motion bends between two samples, over the bend times the step [1]: a
-#: quarter where it bends in the middle, 0.17 in the mean; without it chi-squared is up to 9 a
-#: point.
-_CORNER = 0.2
-#: Shortest time that a step of the motion counts for [s].
-_SHORTEST = 1e-4
-#: Places of the processes of :class:`Errors`.
-_, _GAIN, _, DRIFT, _MOTION = range(5)
+
+
+class Row(enum.IntEnum):
+    """Places of the processes of :class:`Errors`."""
+
+    NOISE = 0
+    GAIN = 1
+    ROUGHNESS = 2
+    DRIFT = 3
+    MOTION = 4
 
 
 @dataclass(frozen=True)
@@ -78,37 +82,27 @@ class Errors:
     @property
     def gain(self) -> Array:
         """Stress per compression of the surface [Pa], (m,)."""
-        return self.rows[_GAIN]
-
-    @property
-    def drift(self) -> Array:
-        """Variances that the stress's walk gains beside its roughness [Pa^2], (m,)."""
-        return self.rows[DRIFT]
+        return self.rows[Row.GAIN]
 
     def under(self, other: Errors) -> Errors:
         """Return them with the variances of another stiffness, as stress: only the gain is own."""
         rows = other.rows.copy()
-        rows[_GAIN] = self.gain
+        rows[Row.GAIN] = self.gain
         moved = np.divide(other.gain, self.gain, out=np.ones_like(self.gain), where=self.gain != 0)
-        rows[_MOTION] *= moved**2
+        rows[Row.MOTION] *= moved**2
         return Errors(rows, self.loading)
 
 
+@dataclass(frozen=True)
 class ErrorModel:
-    """The error processes of one press.
+    """The error processes of one press."""
 
-    Parameters
-    ----------
-    model : PressModel
-    uncertainty : Uncertainty
-    noise : Noise
-    """
-
-    def __init__(self, model: PressModel, uncertainty: Uncertainty, noise: Noise) -> None:
-        self._model, self._noise = model, noise
-        geometry = model.geometry
-        self._drift = (geometry.stress_per_force * uncertainty.force_drift_sd) ** 2
-        self._motion = (uncertainty.surface_motion_sd / geometry.length) ** 2
+    geometry: Geometry
+    uncertainty: Uncertainty
+    noise: Noise
+    #: A record and a state to the record with its motion moved, the order of the relaxation, and
+    #: the sizes and times of changes: those of the press's model.
+    conditions: Callable[[Points, Array], tuple[Points, float, tuple[Array, Array]]]
 
     def errors(
         self, points: Points, state: Array, found: Evaluation, before: Loading | None = None
@@ -117,15 +111,23 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        points, order = self._model.motion.moved(points, state), self._model.order(state)
+        points, order, changes = self.conditions(points, state)
+        drift = (self.geometry.stress_per_force * self.uncertainty.force_drift_sd) ** 2
+        motion = (self.uncertainty.surface_motion_sd / self.geometry.length) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
+        # Error of a strain whose motion bends between two samples, over the bend times the step
+        # [1]: a quarter where it bends in the middle, 0.17 in the mean; without it chi-squared is
+        # up to 9 a point.
+        corner = 0.2
+        # Shortest time that a step of the motion counts for [s].
+        shortest = 1e-4
         # An age of less than a block counts as none.
         numbers = np.array(
             [
-                *(self._noise.stress**2, self._noise.compression),
+                *(self.noise.stress**2, self.noise.compression),
                 *(order, 1.0 / math.gamma(1.0 - order)),
-                *(self._drift, self._motion, apparent_stiffness_factor(order, SURFACE_TIME)),
-                *(_CORNER, _SHORTEST, floor, BLOCK_TIME),
+                *(drift, motion, apparent_stiffness_factor(order, SURFACE_TIME)),
+                *(corner, shortest, floor, BLOCK_TIME),
             ]
         )
         loading = np.array(before or (points.times[0], floor, 0.0))
@@ -133,13 +135,13 @@ class ErrorModel:
         loops.errors(
             found.elastic, found.slope, found.stress, points.first, points.last, points.met,
             points.counts, points.durations, points.middles, points.steps, points.bends,
-            *self._model.surface.changes(state), numbers, loading, rows,
+            *changes, numbers, loading, rows,
         )  # fmt: skip
         return Errors(rows, Loading(*loading.tolist()))
 
     def walk(self, columns: int) -> WalkState:
         """Return the walks before the first block; `columns`: of rows that see them."""
-        return WalkState(np.array([self._noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
+        return WalkState(np.array([self.noise.zero**2, 0.0, 0.0]), np.zeros((2, columns)))
 
     def whitened(self, rows: Array, errors: Errors, roughness: float, motion: float) -> Array:
         """Return rows (m, k) as independent and of variance 1."""

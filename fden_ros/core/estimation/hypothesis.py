@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, merged, weights_of, with_held
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rivals import Rival, Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORIGIN, Unknown
+from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
@@ -52,7 +52,6 @@ class Hypothesis:
 
     Parameters
     ----------
-    past : Past
     setting : PressSetting
         What is known before the first sample.
     events : tuple of Unknown
@@ -109,8 +108,8 @@ class Hypothesis:
         if self.past.other is None:
             return log_prior
         mean, covariance = solved.solutions.moments
-        law = slice(0, len(LAW))
-        return log_prior + self.past.other(mean[law], covariance[law, law])
+        told = covariance[LAW_PLACES, LAW_PLACES]
+        return log_prior + self.past.other(mean[LAW_PLACES], told)
 
     def deepest(self, compression: float) -> float:
         """Return the largest compression of the site, after one as it is given [1]."""
@@ -125,7 +124,6 @@ class Hypothesis:
         if points.path is not None:
             times, compressions, speeds = points.path
             moved = replace(moved, path=(times, compressions + shift, speeds))
-        moved.__dict__["moments"] = points.moments  # by the times alone
         return moved
 
     def with_event(self, event: Unknown) -> Hypothesis:
@@ -133,12 +131,7 @@ class Hypothesis:
         return Hypothesis(self.past, self.setting, (*self.events, event))
 
     def search(
-        self,
-        points: Points,
-        elapsed: float,
-        compression: float,
-        compression_sd: float,
-        care: Care,
+        self, points: Points, elapsed: float, compression: float, compression_sd: float, care: Care
     ) -> Search:
         """Return the search for its solution, given a record as it is given."""
         deepest = self.deepest(compression)
@@ -158,11 +151,7 @@ class Hypothesis:
     def take_over(self, solved: Solved, log_evidence: float) -> None:
         """Go on from a solution.
 
-        Parameters
-        ----------
-        solved : Solved
-        log_evidence : float
-            Of all of it, for what was known before the record.
+        `log_evidence`: of all of it, for what was known before the record.
         """
         self.solved, self.misses = solved, 0
         if solved.rivals is not None:

@@ -13,24 +13,23 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.budget import budget_of
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.estimate import Budget
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maxima import Solutions, completed, find_maxima
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE as UNSOLVABLE
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.press_model import Evaluation
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points, Record
+from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.search import Solved
-from fden_ros.core.estimation.unknowns import LAW, ORIGIN, Lifetime
+from fden_ros.core.estimation.unknowns import LAW_PLACES, ORIGIN, Lifetime
 from fden_ros.core.law import Geometry
-
-_LAW = slice(0, len(LAW))
 
 
 class ImaginedPress:
@@ -38,8 +37,6 @@ class ImaginedPress:
 
     Parameters
     ----------
-    config : EstimatorConfig
-    geometry : Geometry
     stress_sd, zero_sd, compression_sd : float
         Standard deviations of a sample's stress [Pa], of its zero [Pa], of its compression [1].
     origin_sd : float
@@ -73,24 +70,13 @@ class ImaginedPress:
             0.0,
             RigKnowledge.stated(config),
         )
-        self._compression_sd = compression_sd
         self._strain = geometry.strain(deepest)
-        self._posterior = self._given(deepest, mean, covariance)
-
-    def _given(self, deepest: float, mean: Array, covariance: Array) -> Posterior:
-        """Return the posterior, with what is known of the tissue for a prior."""
-        posterior = self._setting.posterior((), self._compression_sd, deepest)
-        means, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
-        means[_LAW] = mean
-        unknown = np.flatnonzero(covariance.diagonal() > 0.0)
-        block = np.ix_(unknown, unknown)
-        precision[block] = np.linalg.inv(covariance[block])
-        posterior.belief = Belief(means, precision)
-        return posterior
+        posterior = self._setting.posterior((), compression_sd, deepest)
+        self._posterior = _given(posterior, mean, covariance)
 
     def _state(self, tissue: Array) -> Array:
         state: Array = self._posterior.belief.mean.copy()
-        state[_LAW] = tissue
+        state[LAW_PLACES] = tissue
         return state
 
     def stress(self, points: Points, tissue: Array) -> Array:
@@ -116,7 +102,6 @@ class ImaginedPress:
 
         Parameters
         ----------
-        points : Points
         tissue : ndarray, shape (3,)
         evaluation : Evaluation
             Of these; its derivative by the origin is scaled.
@@ -126,7 +111,6 @@ class ImaginedPress:
             That the touch shows, in place of that of the press [1].
         observed : int
             Blocks that are observed.
-        presses : int
 
         Returns
         -------
@@ -143,15 +127,11 @@ class ImaginedPress:
         )
         normal = white[:observed].T @ white[:observed]
         prior = posterior.precision(state, scales)
-        covariances = _repeated(normal, prior, self._lasting, presses)
-        return np.array([c.diagonal()[_LAW] for c in covariances])
-
-    @property
-    def _lasting(self) -> Array:
-        """Which unknowns are one for all presses."""
-        model = self._posterior.model
-        lasting = [u.lifetime is not Lifetime.CONTACT for u in model.unknowns]
-        return np.array(lasting + [True] * (model.size - len(lasting)))
+        # Which unknowns are one for all presses, and the law's errors are.
+        lasting = [u.lifetime is not Lifetime.CONTACT for u in posterior.model.unknowns]
+        lasting += [True] * (posterior.model.size - len(lasting))
+        covariances = _repeated(normal, prior, np.array(lasting), presses)
+        return np.array([c.diagonal()[LAW_PLACES] for c in covariances])
 
     def solved(
         self, points: Points, tissue: Array, stress: Array, observed: int
@@ -160,7 +140,6 @@ class ImaginedPress:
 
         Parameters
         ----------
-        points : Points
         tissue : ndarray, shape (3,)
             From which the search begins.
         stress : ndarray, shape (blocks,)
@@ -177,7 +156,18 @@ class ImaginedPress:
     def budget(self, solutions: Solutions) -> Budget:
         """Return what makes the estimate of a solution uncertain."""
         solved = Solved(self._posterior, solutions, None, False)
-        return budget_of(self._setting, solved, self._compression_sd)
+        return budget_of(self._setting, solved)
+
+
+def _given(posterior: Posterior, mean: Array, covariance: Array) -> Posterior:
+    """Return a posterior with what is known of the tissue for a prior."""
+    means, precision = posterior.belief.mean.copy(), posterior.belief.precision.copy()
+    means[LAW_PLACES] = mean
+    unknown = np.flatnonzero(covariance.diagonal() > 0.0)
+    block = np.ix_(unknown, unknown)
+    precision[block] = np.linalg.inv(covariance[block])
+    posterior.belief = Belief(means, precision)
+    return posterior
 
 
 def imagined_record(
@@ -222,5 +212,4 @@ def _inverse(matrix: Array) -> Array:
     root = np.linalg.inv(np.linalg.cholesky(matrix))
     if not np.isfinite(root).all():
         raise np.linalg.LinAlgError("the precision is not finite")
-    result: Array = root.T @ root
-    return result
+    return root.T @ root

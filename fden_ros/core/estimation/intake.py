@@ -38,10 +38,8 @@ class Intake:
 
     Attributes
     ----------
-    record : Record
     deepest : float
         Largest compression of the press [1].
-    compression_sd : float
     now : float
         Time of the newest sample in the record [s].
     """

@@ -12,14 +12,13 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.smooth_errors import KERNEL_HATS, splines
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import KERNEL_HATS, ORDER, splines
+from fden_ros.core.estimation.unknowns import ORDER
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
 
 #: Places in time and strain at which the errors are read off [1].
 _PLACES = 16
-#: Part of the elapsed time, and of the largest strain, from which on they are [1].
-_FROM_TIME, _FROM_STRAIN = 0.03, 0.1
 #: The loaded part of the characteristic is above this part of the largest strain [1].
 _LOADED = 0.7
 
@@ -29,7 +28,6 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
 
     Parameters
     ----------
-    solution : Solution
     model : PressModel
         Of which it is a solution.
     seen : tuple of float
@@ -38,13 +36,14 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
     kernel, characteristic = model.kernel, model.characteristic
     mean, covariance = solution.mean, solution.covariance
     elapsed, strain = seen
-    times = np.geomspace(_FROM_TIME * elapsed, elapsed, _PLACES)
+    # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
+    times = np.geomspace(0.03 * elapsed, elapsed, _PLACES)
     design, slope = _relaxation_functionals(float(mean[ORDER]), times)
     bend = design @ mean[kernel]
     bend_covariance = design @ covariance[kernel, kernel] @ design.T
     own = np.zeros(mean.size)
     own[ORDER], own[kernel] = 1.0, -slope
-    strains = np.linspace(_FROM_STRAIN * strain, strain, _PLACES)
+    strains = np.linspace(0.1 * strain, strain, _PLACES)
     curve, _ = splines(strains, model.last_knot, characteristic.stop - characteristic.start)
     off = curve @ mean[characteristic]
     off_covariance = curve @ covariance[characteristic, characteristic] @ curve.T
@@ -60,19 +59,13 @@ def law_error(solution: Solution, model: PressModel, seen: tuple[float, float]) 
 
 def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
     """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
-    errors = _relaxation_errors(order, times)
+    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
+    after = weights * left_after(times)
+    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
     logs = np.log(times)
     line = np.column_stack([np.ones(times.size), logs - logs.mean()])
     fit = np.linalg.pinv(line)
     return errors - line @ fit @ errors, fit[1] @ errors
-
-
-def _relaxation_errors(order: float, times: Array) -> Array:
-    """Return the relative error of the relaxation at times by the kernel's knots."""
-    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
-    after = weights * left_after(times)
-    result: Array = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
-    return result
 
 
 def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:

@@ -23,6 +23,7 @@ The C sources are in `compiled/`; numpy and scipy are their oracle in the tests.
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -31,20 +32,24 @@ import numpy as np
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.law import LAYER_TERMS, RATE_COUNT, RATES
 
-_VERSION = 4  #: of what the functions take; raised with every change of it
 _MEND = "fden_ros is not built for this Python: with a C compiler (build-essential) install it"
 try:
     from fden_ros.core.estimation import _loops as _compiled  # type: ignore[attr-defined]
 except ImportError as missing:
     raise ImportError(f"{_MEND} again") from missing
-if _compiled.VERSION != _VERSION:
+# Of what the functions take; raised with every change of it.
+if _compiled.VERSION != 4:
     raise ImportError(f"{_MEND} again: its compiled part is of version {_compiled.VERSION}")
 
-#: Strain about which the splines of the characteristic's error become wider, over that of their
-#: last knot [1]; in `compiled/response.c` too.
-NEAR = 0.1
-#: What of the law a column of derivatives is by; in `compiled/loops.h` too.
-BY_NOTHING, BY_LOG_G, BY_LOG_GN, BY_COMPLIANCE, BY_FIRST_KNOT = range(5)
+
+class By(enum.IntEnum):
+    """What of the law a column of derivatives is by; in `compiled/loops.h` too."""
+
+    NOTHING = 0
+    LOG_G = 1
+    LOG_GN = 2
+    COMPLIANCE = 3
+    FIRST_KNOT = 4
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,8 @@ class LawState:
 class Columns:
     """The derivatives of the response that are asked for."""
 
-    #: One of the ``BY_...`` each, none but BY_NOTHING twice; by the knot m of the
-    #: characteristic's error: ``BY_FIRST_KNOT`` + m. Shape (columns,).
+    #: One of :class:`By` each, none but NOTHING twice; by the knot m of the characteristic's
+    #: error: FIRST_KNOT + m. Shape (columns,).
     kinds: Indices
     #: Derivatives of the compression by the first columns [1]; by the others it has none, (moving,
     #: points).
@@ -116,15 +121,6 @@ class Steps(NamedTuple):
         return cls(durations, moments(durations), places, places)
 
 
-class Response(NamedTuple):
-    """The response of the law."""
-
-    stress: Array  #: of the blocks (blocks,) [Pa]
-    jacobian: Array  #: (blocks, columns)
-    elastic: Array  #: the elastic response at the points, (points,)
-    slope: Array  #: its derivative by the compression, (points,)
-
-
 @dataclass
 class ResponseState:
     """What the response and its derivatives go on from; made anew for each evaluation."""
@@ -135,6 +131,18 @@ class ResponseState:
 
     def __post_init__(self) -> None:
         self.values = np.zeros((self.columns + 1) * (RATE_COUNT + 3) + 5)
+
+
+class Evaluation(NamedTuple):
+    """The stress of a press at one state, with its derivatives."""
+
+    stress: Array  #: of the blocks [Pa], (blocks,)
+    jacobian: Array  #: shape (blocks, columns)
+    #: Elastic response at the points [Pa s^alpha], and its derivative by the compression,
+    #: (points,).
+    elastic: Array
+    slope: Array
+    state: ResponseState  #: from which the response goes on
 
 
 @dataclass
@@ -148,10 +156,7 @@ class WalkState:
 def moments(durations: Array) -> Array:
     """Return decay and moments of each step, shape (steps, 4, RATES).
 
-    Parameters
-    ----------
-    durations : ndarray, shape (steps,)
-        [s].
+    `durations`: [s], (steps,).
     """
     result = np.empty((durations.size, 4, RATE_COUNT))
     _compiled.moments(durations, RATES, result)
@@ -165,18 +170,15 @@ def respond(
     surface: Array | None,
     columns: Columns | None,
     state: ResponseState,
-) -> Response:
+) -> Evaluation:
     """Return the stress of every block with its derivatives.
 
     Parameters
     ----------
-    law : LawState
-    steps : Steps
     compressions : ndarray, shape (points,)
         [1].
     surface : ndarray or None, shape (points,)
         The tissue's free surface, in the unit of the elastic response; None: at 0.
-    columns : Columns or None
     state : ResponseState
         Is brought to the last point.
 
@@ -197,7 +199,7 @@ def respond(
     if not is_finite:
         raise FloatingPointError("the response of the law is not finite")
     state.is_begun |= compressions.size > 0
-    return Response(stress, jacobian, elastic, slope)
+    return Evaluation(stress, jacobian, elastic, slope, state)
 
 
 def clock(loaded: Array, seconds: Array, floor: float, state: Array) -> Array:
@@ -284,7 +286,6 @@ def follow(
 
     Parameters
     ----------
-    blocks : Followed
     errors, roughness, motion
         As :func:`whiten` takes them.
     mean : ndarray, shape (n + 2,)
@@ -334,7 +335,6 @@ def weigh(scaled: Scaled, places: Array) -> Array:
 
     Parameters
     ----------
-    scaled : Scaled
     places : ndarray, shape (places, 2)
         Scales a and b; places of the same a stand together.
 

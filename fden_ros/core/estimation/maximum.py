@@ -14,18 +14,17 @@ S, taken at the solution itself, wants no further step. So the maximum depends o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.density import Density
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import EVALUATION_COST, Density, Maximum
 from fden_ros.core.estimation.error_model import Errors
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.press_model import Evaluation
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER
@@ -43,24 +42,10 @@ _QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
 #: Stiffness by which a touch is held at a sample, over the stiffest of what moves it [1]: beside
 #: that of all unknowns rounding would leave no positive definite normal equations.
 _HELD = 1e4
-#: What an evaluation costs beside its points, in points [1]: of 100 points it takes twice as long.
-EVALUATION_COST = 150
 #: Largest step of ln G, ln Gn and alpha [1].
 LARGEST_STEP = np.array([3.0, 0.7, 0.15])
 #: Damping at first [1], and by which factors it falls and rises.
 _DAMPING, _EASED, _DAMPED = 1e-4, 0.1, 8.0
-
-
-@dataclass(frozen=True)
-class Maximum:
-    """A maximum of the posterior at given scales."""
-
-    state: Array  #: shape (n,)
-    evaluation: Evaluation  #: of the model there
-    errors: Errors  #: the error processes there
-    scales: Scales
-    is_solved: bool  #: it wants no further step
-    is_at_bound: bool = False  #: alpha is at an end of what there is, and wants beyond
 
 
 class _Metric(NamedTuple):

@@ -57,8 +57,7 @@ def weights_of(log_weights: Sequence[float] | Array) -> Array:
     logs = np.array(log_weights)
     # The largest itself counts where rounding leaves no room below it.
     weights = np.where(logs >= logs.max() - NEGLIGIBLE, np.exp(logs - logs.max()), 0.0)
-    result: Array = weights / weights.sum()
-    return result
+    return weights / weights.sum()
 
 
 def normalized(components: Sequence[Component]) -> list[Component]:
@@ -80,7 +79,6 @@ def collapsed(
 
     Parameters
     ----------
-    components : sequence of Component
     most : int
         Gaussians that are left at most.
     alike : float

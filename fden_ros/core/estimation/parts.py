@@ -22,10 +22,7 @@ Parts = Generator[int, None, Result]
 class Limit:
     """What a computation may cost in all; beyond it, it ends with what it has.
 
-    Parameters
-    ----------
-    most : float
-        Points evaluated.
+    `most`: points evaluated.
     """
 
     def __init__(self, most: float = math.inf) -> None:
@@ -44,8 +41,7 @@ class Limit:
                 self._left -= cost
                 yield cost
         except StopIteration as end:
-            result: Result = end.value
-            return result
+            return end.value
 
 
 def ended(parts: Parts[Result]) -> Result:
@@ -54,17 +50,13 @@ def ended(parts: Parts[Result]) -> Result:
         while True:
             next(parts)
     except StopIteration as end:
-        result: Result = end.value
-        return result
+        return end.value
 
 
 class Advanced(Generic[Result]):
     """A computation that is advanced by budgets.
 
-    Parameters
-    ----------
-    begin : callable
-        Begins it; what it computes from does not change.
+    `begin`: begins it; what it computes from does not change.
     """
 
     def __init__(self, begin: Callable[[], Parts[Result]]) -> None:

@@ -19,21 +19,10 @@ from scipy.special import logsumexp
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
 from fden_ros.core.estimation.mixture import Component, collapsed, normalized
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, is_sound
 from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
-from fden_ros.core.estimation.tissue_surface import FreeSurface
 from fden_ros.core.estimation.unknowns import Lifetime
-
-#: Standard deviation of the zero where it is not measured [N]: with 0 a preload puts ln Gn eight
-#: standard deviations off.
-_UNKNOWN_ZERO = 0.01
-#: Gaussians that all pasts together carry over [1]: each is a hypothesis of the next press.
-_MOST = 3
-#: Two of them are one where the divergence grows by less [1]. With 0.1 three presses to a strain
-#: of 1.2/Gn tell 0.08 more of the truth's log density, but a usual second press may take half as
-#: much work again.
-_ALIKE = 0.5
 
 
 class Pasts:
@@ -97,10 +86,7 @@ class Pasts:
         total = float(logsumexp([past.log_odds for past in same]))
         for past in same:
             past.setting = replace(
-                past.setting,
-                config=setting.config,
-                rig=setting.rig,
-                stress_sd=setting.stress_sd,
+                past.setting, config=setting.config, rig=setting.rig, stress_sd=setting.stress_sd
             )
             past.shift += shift
             past.log_odds -= total
@@ -127,7 +113,9 @@ class Pasts:
                 past.setting = own = replace(own, touch_speed=_touch_speed(way))
             setting = replace(
                 own,
-                zero_sd=zero_sd or _UNKNOWN_ZERO * own.geometry.stress_per_force,
+                # 0.01 N where it is not measured: with 0 a preload puts ln Gn eight standard
+                # deviations off.
+                zero_sd=zero_sd or 0.01 * own.geometry.stress_per_force,
                 drift_sd=drift_sd,
             )
             if setting.carried is None:
@@ -154,16 +142,13 @@ class Pasts:
                 pasts.append(one.past)
         for past in pasts:
             own = [(weight, one) for weight, one in weighed if one.past is past]
-            _carry_over(past, own, deepest, self._time, max(_MOST // len(pasts), 1))
+            # All carry over three Gaussians together: each is a hypothesis of the next press.
+            _carry_over(past, own, deepest, self._time, max(3 // len(pasts), 1))
         self.all = sorted(pasts, key=lambda past: -past.log_odds)
 
 
 def _carry_over(
-    past: Past,
-    own: Sequence[tuple[float, Hypothesis]],
-    deepest: float,
-    time: float,
-    most: int,
+    past: Past, own: Sequence[tuple[float, Hypothesis]], deepest: float, time: float, most: int
 ) -> None:
     """Put what a press has told into a past: all of its own hypotheses, in a few Gaussians.
 
@@ -192,7 +177,10 @@ def _carry_over(
         past.memory.values += softer * free.at(np.array([time]))[0]
     sound = [part for part in whole if is_sound(part)] or whole[:1]
     lasting = [k for k, one in enumerate(model.unknowns) if one.lifetime is not Lifetime.CONTACT]
-    carried = Carried(model, collapsed(normalized(sound), most, _ALIKE, lasting))
+    # Two Gaussians are one where the divergence grows by less than 0.5. With 0.1 three presses to
+    # a strain of 1.2/Gn tell 0.08 more of the truth's log density, but a usual second press may
+    # take half as much work again.
+    carried = Carried(model, collapsed(normalized(sound), most, 0.5, lasting))
     past.setting = replace(past.setting, carried=carried)
 
 

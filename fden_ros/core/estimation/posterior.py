@@ -8,64 +8,34 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.density import Belief, Density
-from fden_ros.core.estimation.error_model import ErrorModel
-from fden_ros.core.estimation.maximum import MOST_STEPS, Maximum, MaximumSearch
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import Density, Maximum
+from fden_ros.core.estimation.loops import Evaluation
+from fden_ros.core.estimation.maximum import MOST_STEPS, MaximumSearch
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
 from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.press_model import Evaluation, PressModel
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import (
-    Solution,
-    averaged,
-    cost_of,
-    log_evidence,
-)
+from fden_ros.core.estimation.solution import Solution, averaged, cost_of, log_evidence
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
-#: What numbers do where a state is beyond them.
+#: What numbers do where a state is beyond them: whatever evaluates or solves may raise these.
 UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
-#: Steps after which other scales are tried [1]; a growing record takes one to five.
-_FEW_STEPS = 12
-#: A moderate error [1].
-_MODERATE = Scales(0.1, 0.1, 0.06, 1.0)
 
 
+@dataclass(eq=False)
 class Posterior(Density):
-    """The posterior of a press given a record.
+    """The posterior of a press given a record."""
 
-    Parameters
-    ----------
-    model : PressModel
-    error_model : ErrorModel
-    belief : Belief
-    grid : sequence of WeighedScales
-    has_field_prior : bool
-        The law's errors have the priors of the scales, not that of the belief.
-    order_sd : float
-        Standard deviation of an order that is not learned [1]; it counts in the others'.
-    """
-
-    def __init__(
-        self,
-        model: PressModel,
-        error_model: ErrorModel,
-        belief: Belief,
-        grid: Sequence[WeighedScales],
-        *,
-        has_field_prior: bool,
-        order_sd: float = 0.0,
-    ) -> None:
-        super().__init__(model, error_model, belief, has_field_prior=has_field_prior)
-        self.grid, self._order_sd = grid, order_sd
+    grid: Sequence[WeighedScales]
+    #: Standard deviation of an order that is not learned [1]; it counts in the others'.
+    order_sd: float = field(default=0.0, kw_only=True)
 
     def maximum(
         self,
@@ -85,16 +55,11 @@ class Posterior(Density):
                 with np.errstate(over="ignore", invalid="ignore"):
                     cost = next(parts)
             except StopIteration as end:
-                found: Maximum = end.value
-                return found
+                return end.value
             yield cost
 
     def averaged(
-        self,
-        points: Points,
-        best: Maximum,
-        grid: Sequence[WeighedScales],
-        held: int | None = None,
+        self, points: Points, best: Maximum, grid: Sequence[WeighedScales], held: int | None = None
     ) -> Parts[Solution]:
         """Return the mixture over a grid of scales: see :func:`averaged`."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -105,13 +70,7 @@ class Posterior(Density):
     def solutions_in_parts(
         self, points: Points, starts: Sequence[Array], scales: Scales
     ) -> Parts[list[Solution]]:
-        """Return the posterior about each of the maxima that the starts lead to, the best first.
-
-        Raises
-        ------
-        FloatingPointError
-            If no start has a finite stress.
-        """
+        """Return the posterior about each maximum that the starts lead to, the best first."""
         found: list[Solution] = []
         # Roughly: most starts lead to the same maximum, which is then refined once.
         seen: list[Maximum] = []
@@ -135,7 +94,7 @@ class Posterior(Density):
         """The scales of the grid that are nearest to those of a moderate error, to begin with."""
 
         def off(scales: Scales) -> float:
-            pairs = zip(scales, _MODERATE, strict=True)
+            pairs = zip(scales, (0.1, 0.1, 0.06, 1.0), strict=True)
             return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
 
         return min((weighed.scales for weighed in self.grid), key=off)
@@ -146,7 +105,7 @@ class Posterior(Density):
 
         Without what is the same for all priors, and without that of errors with scales.
         """
-        stop = len(self.model.unknowns) if self._has_field_prior else self.model.size
+        stop = len(self.model.unknowns) if self.has_field_prior else self.model.size
         open_ = np.setdiff1d(np.arange(stop), self.known)
         precision = self.belief.precision[np.ix_(open_, open_)]
         of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
@@ -158,7 +117,8 @@ class Posterior(Density):
         found = yield from self.averaged(points, best, self.grid)
         while found.best_scales not in seen:
             seen.append(found.best_scales)
-            best = yield from self._again(points, best, found.best_scales)
+            scales, known = found.best_scales, best.evaluation
+            best = yield from self.maximum(points, best.state, scales, known=known)
             found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
@@ -167,14 +127,10 @@ class Posterior(Density):
 
         The maximum is nearly found, and only the scales beside the best one before are weighed;
         where another is better now, all are.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is not finite at the state.
         """
         scales = before.best_scales
-        best = yield from self.maximum(points, state, scales, _FEW_STEPS)
+        # Other scales are tried after 12 steps; a growing record takes one to five.
+        best = yield from self.maximum(points, state, scales, most=12)
         near = beside(self.grid, scales)
         others = before.scales.keys() - {w.scales for w in near}
         near += tuple(w for w in self.grid if w.scales in others)
@@ -191,12 +147,8 @@ class Posterior(Density):
     def _at_its_scales(self, points: Points, begun: Maximum) -> Parts[Solution]:
         """Return the solution about the maximum at the scales that are best where it begins."""
         chosen = (yield from self.averaged(points, begun, self.grid)).best_scales
-        best = yield from self._again(points, begun, chosen)
+        best = yield from self.maximum(points, begun.state, chosen, known=begun.evaluation)
         return (yield from self.averaged(points, best, self.grid))
-
-    def _again(self, points: Points, begun: Maximum, scales: Scales) -> Parts[Maximum]:
-        """Return the maximum at other scales, from that of some."""
-        return self.maximum(points, begun.state, scales, known=begun.evaluation)
 
     def given(
         self,
@@ -210,18 +162,13 @@ class Posterior(Density):
         """Return the posterior given the unknown at a place, at one place of the grid.
 
         `most`: steps at most; `known`: the evaluation at the state.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is not finite at the state.
         """
         best = yield from self.maximum(points, state, scales, most, place, known)
         return (yield from self.averaged(points, best, (WeighedScales(scales),), place))
 
     def _considered(self, points: Points, found: Solution) -> Solution:
         """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
-        if not self._order_sd:
+        if not self.order_sd:
             return found
         maximum, scales = found.maximum, found.maximum.scales
         found_with_order = self.model.evaluate(points, maximum.state)
@@ -235,7 +182,7 @@ class Posterior(Density):
         normal += self.precision(maximum.state, scales)
         shift = -loops.solve(normal, by_order)
         shift[ORDER] = 1.0
-        return replace(found, considered=self._order_sd**2 * np.outer(shift, shift))
+        return replace(found, considered=self.order_sd**2 * np.outer(shift, shift))
 
     def _maxima(
         self, points: Points, starts: Sequence[Array], scales: Scales

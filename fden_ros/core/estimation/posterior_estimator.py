@@ -31,18 +31,12 @@ from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_a
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.law import Geometry
 
-#: Work of a time in the air over that of a time in contact [1]: no filter takes samples there, and
-#: the last solution is found within 0.8 s.
-_IN_AIR = 3.0
-
 
 class PosteriorEstimator(Estimator):
     """The estimator of one site.
 
     Parameters
     ----------
-    config : EstimatorConfig
-    geometry : Geometry
     noise_sd : float
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
@@ -98,7 +92,7 @@ class PosteriorEstimator(Estimator):
         """
         before = other.estimate()
         last = Tissue(before.mean, before.covariance)
-        other._carry()
+        other.put_away()
         other._pasts.wait(other._time)
         self._pasts.may_be_of(other._pasts, shift, last, log_wider)
         self._compression_sd = other._compression_sd
@@ -171,7 +165,7 @@ class PosteriorEstimator(Estimator):
 
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
-        self._carry()
+        self.put_away()
         self._pasts.wait(self._time)
         hypotheses = self._pasts.hypotheses(bias_sd, drift_sd, way)
         settings = [one.setting for one in hypotheses]
@@ -186,10 +180,6 @@ class PosteriorEstimator(Estimator):
         assert self.press is not None
         self._time += step
         self.press.take(Sample(self._time, compression, stress), step, is_free=is_free)
-
-    def put_away(self) -> None:
-        """Keep of the last contact what the next one goes on from."""
-        self._carry()
 
     def rest(self, duration: float) -> None:
         """Let time [s] pass between two contacts."""
@@ -216,7 +206,7 @@ class PosteriorEstimator(Estimator):
         press = self.press
         if press is None or press.solved is None or press.best.misses:
             return None
-        return budget_of(press.setting, press.solved, press.intake.compression_sd)
+        return budget_of(press.setting, press.solved)
 
     def begin_finish(self) -> None:
         """Begin to solve anew at the end of a contact, from all starts."""
@@ -231,7 +221,9 @@ class PosteriorEstimator(Estimator):
     def work(self, seconds: float) -> None:
         """Go on with that by the work of a time without samples [s]."""
         if self.press is not None:
-            self.press.work(_IN_AIR * seconds)
+            # Three times as much as in contact: no filter takes samples in the air, and the last
+            # solution is found within 0.8 s.
+            self.press.work(3.0 * seconds)
 
     def finish(self) -> None:
         """Do what is left of it."""
@@ -244,7 +236,7 @@ class PosteriorEstimator(Estimator):
             if one.rivals is not None:
                 one.past.mismatch_probability = one.rivals.probability
 
-    def _carry(self) -> None:
+    def put_away(self) -> None:
         """Make the posterior of the press the prior of the next, for each past that it leaves."""
         press, self.press = self.press, None
         if press is None:

@@ -1,7 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stress of a press as a function of its unknowns, with all derivatives."""
+"""The stress of a press as a function of its unknowns, with all derivatives.
+
+It is that of the elastic response in excess of the tissue's free surface: what earlier presses and
+changes under the probe have left. A change of the stiffness lowers the surface by what it adds to
+the elastic response.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +18,23 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.loops import (
-    BY_FIRST_KNOT,
-    Columns,
-    LawState,
-    ResponseState,
-    Steps,
-)
-from fden_ros.core.estimation.press_motion import PressMotion
-from fden_ros.core.estimation.record import Points
-from fden_ros.core.estimation.tissue_surface import FreeSurface, TissueSurface
-from fden_ros.core.estimation.unknowns import (
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.loops import By, Columns, Evaluation, LawState, ResponseState, Steps
+from fden_ros.core.estimation.smooth_errors import (
     CHARACTERISTIC_KNOTS,
     KERNEL_HATS,
     KERNEL_KNOTS,
-    LOG_G,
-    LOG_GN,
-    ORDER,
-    Unknown,
-    order_of,
+    splines,
 )
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, PressMotion, Unknown, order_of
 from fden_ros.core.law import (
     MAX_EXPONENT,
+    RATES,
     Geometry,
+    StressMoments,
+    creep_slopes,
+    creep_weights,
+    elastic_responses,
     phi,
     relaxation_after,
     relaxation_slopes,
@@ -44,16 +43,143 @@ from fden_ros.core.law import (
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The stress of a press at one state."""
+class FreeSurface:
+    """What earlier presses have left of the tissue: the creep of their stress."""
 
-    stress: Array  #: of the blocks [Pa], (m,)
-    jacobian: Array  #: shape (m, unknowns)
-    #: Elastic response at the points [Pa s^alpha], and its derivative by the compression,
-    #: (points,).
-    elastic: Array
-    slope: Array
-    state: ResponseState  #: from which the response goes on
+    moments: StressMoments  #: at `time`
+    time: float  #: [s], of the clock of the records
+
+    def at(self, times: Array) -> Array:
+        """Return the exponential moments at times, shape (n, RATES)."""
+        return self.moments.after(np.maximum(times - self.time, 0.0))
+
+
+@dataclass(eq=False)
+class TissueSurface:
+    """The free surface of one press, with all derivatives."""
+
+    unknowns: tuple[Unknown, ...]  #: the first of a state
+    motion: PressMotion  #: of these
+    geometry: Geometry
+    #: Places of the law's errors in a state, which ends with the latter.
+    kernel: slice
+    characteristic: slice
+    last_knot: float  #: strain of the characteristic's last knot [1]
+    free: FreeSurface | None  #: None: the tissue is at rest before the press
+    _moments: tuple[Points, Array] | None = None
+
+    def __post_init__(self) -> None:
+        """Find by what unknowns change ln G since the last press, which left less or more."""
+        self.by_softening = np.zeros(self.characteristic.stop)
+        self.by_softening[: len(self.unknowns)] = [
+            u.of_law[LOG_G] if u.of_law else 0.0 for u in self.unknowns
+        ]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return it without what the last record has decided: that is found anew."""
+        return self.__dict__ | {"_moments": None}
+
+    def softening(self, state: Array) -> float:
+        """Return the factor of the stiffness since the last press [1]."""
+        return math.exp(float(self.by_softening @ state))
+
+    def changes(self, state: Array) -> tuple[Array, Array]:
+        """Return the sizes of the changes [1] and their times [s]."""
+        found = [
+            (value, u.since)
+            for value, u in zip(state, self.unknowns, strict=False)
+            if u.since is not None
+        ]
+        sizes, times = np.array(found, dtype=float).reshape(-1, 2).T
+        return np.ascontiguousarray(sizes), np.ascontiguousarray(times)
+
+    def touch_gradient(self, points: Points, state: Array) -> Array:
+        """Return how each unknown moves the touch, as a unit vector (n,)."""
+        points = self.motion.moved(points, state)
+        if self.free is None:
+            result, motions = (
+                np.zeros(self.characteristic.stop),
+                self.motion.design(points).motions,
+            )
+            first = int(np.argmax(self.motion.compressions(points, state) > 0.0))
+            result[: len(self.unknowns)] = motions[:, first]
+        else:
+            # Tissue that has not recovered is met where the elastic response passes its surface.
+            elastic, by_unknowns = self._elastic(points, state)
+            surface, lifted = self._creep(self.free, points, state)
+            first = int(np.argmax(elastic > surface))
+            result = by_unknowns[:, first] - lifted[:, first]
+        size = float(np.linalg.norm(result))
+        return result / size if size else result
+
+    def at(self, points: Points, state: Array) -> tuple[Array | None, Array | None]:
+        """Return it at the points of a moved record, and its derivatives, (size, points).
+
+        None: it is at 0.
+        """
+        surface, lifted = None, None
+        if self.free is not None:
+            surface, lifted = self._creep(self.free, points, state)
+        ratio = self._change(points, state)
+        if ratio is None:
+            return surface, lifted
+        elastic, by_unknowns = self._elastic(points, state)
+        added = ratio * elastic
+        surface = -added if surface is None else surface - added
+        lifted = -ratio * by_unknowns if lifted is None else lifted - ratio * by_unknowns
+        for k, unknown in enumerate(self.unknowns):
+            if unknown.since is not None:
+                lifted[k] -= elastic * (points.times > unknown.since)
+        return surface, lifted
+
+    def _creep(self, free: FreeSurface, points: Points, state: Array) -> tuple[Array, Array]:
+        """Return the creep of earlier presses at the points, and its derivatives, (size, points).
+
+        To first order the creep is less by what the relaxation is more.
+        """
+        if self._moments is None or self._moments[0] is not points:
+            self._moments = points, free.at(points.times)
+        moments, order = self._moments[1], order_of(state)
+        own = KERNEL_HATS[: RATES.size, : self.kernel.stop - self.kernel.start]
+        bend = np.exp(-(own @ state[self.kernel]))
+        factor = self.softening(state)
+        weights = factor * creep_weights(order) * bend
+        lifted = np.zeros((self.characteristic.stop, points.times.size))
+        lifted[ORDER] = factor * moments @ (creep_slopes(order) * bend)
+        lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
+        surface = moments @ weights
+        lifted += np.outer(self.by_softening, surface)
+        return surface, lifted
+
+    def _change(self, points: Points, state: Array) -> Array | None:
+        """Return the part of the elastic response that changes add; None: there are none."""
+        if all(unknown.since is None for unknown in self.unknowns):
+            return None
+        ratio = np.zeros(points.times.size)
+        for value, unknown in zip(state, self.unknowns, strict=False):
+            if unknown.since is not None:
+                ratio += value * (points.times > unknown.since)
+        return ratio
+
+    def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
+        """Return the elastic response at the points, and its derivatives, (size, points)."""
+        compressions = self.motion.compressions(points, state)
+        if self.geometry.is_one_sided:
+            compressions = np.maximum(compressions, 0.0)
+        sizes = np.abs(compressions)
+        strains, slopes, _ = self.geometry.strains(sizes)
+        found = elastic_responses(strains, math.exp(state[LOG_G]), math.exp(state[LOG_GN]))
+        knots = self.characteristic.stop - self.characteristic.start
+        of_knots, _ = splines(strains, self.last_knot, knots)
+        bend = np.exp(of_knots @ state[self.characteristic])
+        elastic = found.value * bend
+        slope = found.by_strain * slopes * (strains > 0.0) * bend
+        by_unknowns = np.zeros((self.characteristic.stop, sizes.size))
+        by_unknowns[: len(self.unknowns)] = slope * self.motion.design(points).motions
+        by_unknowns[LOG_G] += elastic
+        by_unknowns[LOG_GN] += found.by_log_nonlinear_stiffness * bend
+        by_unknowns[self.characteristic] = elastic * of_knots.T
+        return elastic, by_unknowns
 
 
 class Curve(NamedTuple):
@@ -72,8 +198,6 @@ class PressModel:
 
     Parameters
     ----------
-    unknowns : tuple of Unknown
-    geometry : Geometry
     is_bent : bool
         The law's errors are unknowns too: behind the others, kernel, then characteristic.
     last_knot : float
@@ -83,8 +207,6 @@ class PressModel:
 
     Attributes
     ----------
-    motion : PressMotion
-    surface : TissueSurface
     kernel, characteristic : slice
         Places of the law's errors in a state.
     size : int
@@ -109,7 +231,7 @@ class PressModel:
         names = [u.name for u in unknowns]
         self._compliance = names.index("compliance") if "compliance" in names else None
         self._adds_stress = np.array([u.stress is not None for u in unknowns])
-        knots = BY_FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
+        knots = By.FIRST_KNOT + np.arange(CHARACTERISTIC_KNOTS * is_bent)
         kernel = np.zeros(KERNEL_KNOTS.size * is_bent)
         kinds = np.concatenate([[u.kind for u in unknowns], kernel, knots])
         self._kinds = kinds.astype(np.int64)
@@ -129,6 +251,13 @@ class PressModel:
     def order(self, state: Array) -> float:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
         return order_of(state)
+
+    def conditions(
+        self, points: Points, state: Array
+    ) -> tuple[Points, float, tuple[Array, Array]]:
+        """Return what the errors of a record meet at a state: see :class:`ErrorModel`."""
+        moved = self.motion.moved(points, state)
+        return moved, self.order(state), self.surface.changes(state)
 
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
@@ -158,11 +287,6 @@ class PressModel:
         """Return the stress of every block with its derivatives.
 
         `going_on`: from where the response goes on; None: the record begins at rest.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
         """
         points = self.motion.moved(points, state)
         _, rows = self._law(state)
@@ -177,13 +301,7 @@ class PressModel:
         return found
 
     def response(self, points: Points, state: Array) -> Evaluation:
-        """Return the stress of every block without its derivatives.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the stress of every block without its derivatives."""
         points = self.motion.moved(points, state)
         surface, _ = self.surface.at(points, state)
         return self._evaluated(points, state, surface, None, ResponseState(0))
@@ -200,8 +318,7 @@ class PressModel:
         compressions = self.motion.compressions(points, state)
         law, _ = self._law(state)
         found = loops.respond(law, steps, compressions, surface, columns, begun)
-        stress = found.stress + self.motion.added_stress(points, state)
-        return Evaluation(stress, found.jacobian, found.elastic, found.slope, begun)
+        return found._replace(stress=found.stress + self.motion.added_stress(points, state))
 
     def _law(self, state: Array) -> tuple[LawState, Array]:
         """Return the law at a state, and the derivatives of its weights, (rows, RATES + 2).

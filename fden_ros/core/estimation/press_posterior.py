@@ -12,34 +12,30 @@ a change is looked for.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from fden_ros.core.estimation.block import Block, Sample
+from scipy.special import logsumexp
+
+from fden_ros.core.estimation.block import Block, Points, Sample
 from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
-from fden_ros.core.estimation.epoch import Weighed, keep_shares, kept, solved_together, taken_over
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
 from fden_ros.core.estimation.intake import Intake
-from fden_ros.core.estimation.mixture import weights_of
-from fden_ros.core.estimation.parts import Advanced
+from fden_ros.core.estimation.mixture import NEGLIGIBLE, weights_of
+from fden_ros.core.estimation.parts import Advanced, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.schedule import LEAST_BLOCKS, Schedule
-from fden_ros.core.estimation.search import Care, Solved
+from fden_ros.core.estimation.search import Care, Search, Solved
+from fden_ros.core.estimation.solution import cost_of, evidence_under
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
-#: Points that a solution evaluates for each second of samples [1/s]; it is used at the block where
-#: it ends: 750 points, some 1.5 ms, a block of 10 ms. Work is counted and not timed, so that what
-#: comes of a recording is what came of it live.
-_WORK_RATE = 0.75e5
-#: At most so much of it at a block [1]: 0.4 s of samples.
-_MOST_WORK = 3e4
-#: Hypotheses of one press [1], so that a solution of all has a longest time.
-_MOST_HYPOTHESES = 6
+#: A solution with its log evidence; None: it was not found.
+_Weighed = tuple[Solved, float] | None
 
 
 class _Begun(NamedTuple):
@@ -50,7 +46,7 @@ class _Begun(NamedTuple):
     elapsed: float  #: from the touch to there [s]
     compression: float  #: largest of it [1]
     shows_delay: bool  #: a long delay
-    found: Advanced[list[Weighed]]
+    found: Advanced[list[_Weighed]]
     since: list[Block]  #: the blocks after their record
 
 
@@ -59,7 +55,6 @@ class PressPosterior:
 
     Parameters
     ----------
-    hypotheses : sequence of Hypothesis
     intake : Intake
         Of its samples, of which none has come.
 
@@ -71,7 +66,6 @@ class PressPosterior:
         The likeliest.
     weighed : list of (float, Hypothesis)
         Those that have a solution, with weights that add up to 1.
-    intake : Intake
     begun_at, solved_at : int
         Blocks in the records of the newest solutions that were begun, and of the newest that have
         ended.
@@ -164,7 +158,7 @@ class PressPosterior:
         self._watch.add(blocks, now, innovation.normalized_squared)
         if self._watch.is_asked:
             self._look(now)
-        elif self._begun is None and not is_past and self._is_due:
+        elif self._begun is None and not is_past and self._is_due(now):
             if self._watch.is_placing_due(now):
                 self._watch.begin_placing(self.best, self.intake)
             else:
@@ -175,11 +169,18 @@ class PressPosterior:
 
     def work(self, seconds: float) -> None:
         """Go on with what is under way, by the work of a time [s]."""
-        work = min(_WORK_RATE * seconds, _MOST_WORK)
+        # Points that a solution evaluates for each second of samples; it is used at the block
+        # where it ends: 750 points, some 1.5 ms, a block of 10 ms. At most that of 0.4 s. Work is
+        # counted and not timed, so that what comes of a recording is what came of it live.
+        work = min(0.75e5 * seconds, 3e4)
         if self._watch.is_working:
             self._take_event(self._watch.advance(work, is_over=self._schedule.is_over))
         elif self._begun is not None and self._begun.found.advance(work):
             self.go_on()
+
+    def _is_due(self, now: float) -> bool:
+        deepest = self.intake.record.max_compression
+        return self._schedule.is_due(now - self._start, deepest, self.best)
 
     def _unpredicted(self, stress: float) -> Innovation:
         return Innovation(0.0, stress, 0.0, self.setting.stress_sd**2)
@@ -199,15 +200,6 @@ class PressPosterior:
 
     # Solutions
 
-    @property
-    def _elapsed(self) -> float:
-        """Time since the touch [s]."""
-        return self.intake.now - self._start
-
-    @property
-    def _is_due(self) -> bool:
-        return self._schedule.is_due(self._elapsed, self.intake.record.max_compression, self.best)
-
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._schedule.is_over, self._begun = True, None
@@ -222,7 +214,7 @@ class PressPosterior:
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
         """Begin to solve the posterior of the record so far, for all hypotheses."""
-        intake, elapsed = self.intake, self._elapsed
+        intake, elapsed = self.intake, self.intake.now - self._start
         record, points = intake.record, intake.record.points()
         if points.stresses.size < LEAST_BLOCKS or not self._schedule.can_begin:
             return
@@ -239,7 +231,7 @@ class PressPosterior:
             record.max_compression,
             # Or an earlier press of the site has shown it.
             self.setting.carried is not None or has_slowed,
-            Advanced(partial(solved_together, searches)),
+            Advanced(partial(_solved_together, searches)),
             [],
         )
         self.begun_at = self._schedule.blocks
@@ -257,10 +249,10 @@ class PressPosterior:
                 one.misses += 1
             return
         self._schedule.ended(begun.elapsed, begun.compression, shows_delay=begun.shows_delay)
-        solved, missed = taken_over(begun.hypotheses, found)
-        self.hypotheses = kept(solved, missed)
+        solved, missed = _taken_over(begun.hypotheses, found)
+        self.hypotheses = _kept(solved, missed)
         self._catch_up(solved, begun.end, begun.since)
-        keep_shares(self.weighed, missed, solved)
+        _keep_shares(self.weighed, missed, solved)
         self.weigh()
 
     def _catch_up(self, solved: Sequence[Hypothesis], end: float, since: list[Block]) -> None:
@@ -299,7 +291,8 @@ class PressPosterior:
 
     def _adopt(self, found: Found) -> None:
         """Put hypotheses with an event beside those without."""
-        self.hypotheses = with_event(self.hypotheses, found)[:_MOST_HYPOTHESES]
+        # At most six, so that a solution of all has a longest time.
+        self.hypotheses = with_event(self.hypotheses, found)[:6]
         changed = self.hypotheses[0]
         if changed.solved is not None:
             self._catch_up([changed], found.end, found.since)
@@ -316,3 +309,85 @@ def _stepped(hypotheses: Sequence[Hypothesis], points: Points) -> list[Update | 
     first = best.step(points)
     under = first.errors if first is not None else None
     return [first if one is best else one.step(points, under) for one in hypotheses]
+
+
+def _solved_together(searches: Sequence[Search]) -> Parts[list[_Weighed]]:
+    """Return the solutions of all hypotheses, of one record, in parts.
+
+    Each has its log evidence, under the same errors; None: there is none.
+
+    Raises
+    ------
+    FloatingPointError
+        If there is none of any.
+    """
+    found: list[Solved | None] = []
+    for search in searches:
+        try:
+            found.append((yield from search.in_parts()))
+        except UNSOLVABLE:
+            found.append(None)
+    solved = [one for one in found if one is not None]
+    if not solved:
+        raise FloatingPointError("no hypothesis has a solution")
+    best = max(solved, key=lambda one: one.log_evidence)
+    result: list[_Weighed] = []
+    for search, one in zip(searches, found, strict=True):
+        if one is None:
+            result.append(None)
+            continue
+        evidence = one.log_evidence
+        if one is not best:
+            yield cost_of(search.points, one.posterior.grid)
+            evidence += _under(search.points, one, best) - one.best.log_evidence
+        result.append((one, evidence) if math.isfinite(evidence) else None)
+    return result
+
+
+def _under(points: Points, one: Solved, best: Solved) -> float:
+    """Return the log evidence of the best maximum under the errors of another solution."""
+    try:
+        grid = one.posterior.grid
+        return evidence_under(one.posterior, points, one.best, best.best.maximum.errors, grid)
+    except UNSOLVABLE:
+        return -math.inf
+
+
+def _taken_over(
+    hypotheses: Sequence[Hypothesis], found: Sequence[_Weighed]
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Let hypotheses go on from their solutions; return those that have one, and those without."""
+    solved, missed = [], []
+    for one, result in zip(hypotheses, found, strict=True):
+        if result is None:
+            one.misses += 1
+            missed.append(one)
+        else:
+            one.take_over(*result)
+            solved.append(one)
+    return solved, missed
+
+
+def _keep_shares(
+    before: Sequence[tuple[float, Hypothesis]],
+    missed: Sequence[Hypothesis],
+    solved: Sequence[Hypothesis],
+) -> None:
+    """Let hypotheses whose solution was not found keep their weights, which are in `before`.
+
+    All have taken the same blocks.
+    """
+    shares = [(weight, one) for weight, one in before if one in missed]
+    rest = 1.0 - sum(weight for weight, _ in shares)
+    total = float(logsumexp([one.log_weight for one in solved]))
+    for weight, one in shares:
+        one.shift_weight(total + math.log(weight / max(rest, 1e-300)) - one.log_weight)
+
+
+def _kept(solved: Sequence[Hypothesis], missed: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses that are not ruled out: by their evidence, or lost twice in a row."""
+    most = max(one.log_weight for one in solved)
+    return [
+        *(one for one in solved if one.log_weight >= most - NEGLIGIBLE),
+        *(one for one in missed if one.misses < 2),
+    ]

@@ -12,24 +12,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.press_model import PressModel
+from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.proposals import functions
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
-from fden_ros.core.estimation.tissue_surface import FreeSurface
+from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.unknowns import (
-    LAW,
+    LAW_PLACES,
     LINEAR_DELAY,
     ORIGIN,
     Lifetime,
     Unknown,
-    strain_range,
     unknowns_of,
 )
 from fden_ros.core.law import Geometry
@@ -201,7 +200,7 @@ class PressSetting:
                 grid = carried_scales(config.uncertainty)
         return Posterior(
             model,
-            ErrorModel(model, config.uncertainty, noise),
+            ErrorModel(self.geometry, config.uncertainty, noise, model.conditions),
             belief,
             grid,
             has_field_prior=has_fields and self.is_bent,
@@ -234,12 +233,11 @@ def _count_changes(precision: Array, model: PressModel) -> None:
     With the law's parameters x now and a change of them by c times an unknown s, it is told of
     x - c s.
     """
-    law = slice(0, len(LAW))
     for k, unknown in enumerate(model.unknowns):
         if unknown.of_law is None:
             continue
-        by_change = precision[:, law] @ np.array(unknown.of_law)
-        precision[k, k] += by_change[law] @ np.array(unknown.of_law)
+        by_change = precision[:, LAW_PLACES] @ np.array(unknown.of_law)
+        precision[k, k] += by_change[LAW_PLACES] @ np.array(unknown.of_law)
         precision[k] -= by_change
         precision[:, k] -= by_change
 

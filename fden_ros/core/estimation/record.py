@@ -17,139 +17,32 @@ Between all points the motion is linear.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
 from fden_ros.core.estimation.approach import ApproachMotion
 from fden_ros.core.estimation.block import (
+    BLOCK_TIME,
     LINE_TOLERANCE,
     SAME_TIME,
     TOUCH_TIME,
     Block,
     Cell,
+    Points,
     Sample,
 )
 
-#: Time of a block [s]: twice this costs a factor of 3 at a noise of 0.1 mN (test_core_record).
-BLOCK_TIME = 0.01
-#: Above 1 kHz the samples near the touch are blocks of this time [s].
-_LEAST_BLOCK = 1e-3
-#: Noise of the compression above which a sample alone tells nothing of the touch [1].
-_SHARP_NOISE = 5e-5
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1],
 #: beside the tolerance; a block goes on along the line of those before within the noise alone.
 _LINE_DEVIATIONS = 4.0
-#: The motion changes where it leaves the line of a block by this compression [1]: 1.5e-5 would be
-#: exceeded by noise of 0.1 um, which would move estimates by half a standard deviation.
-_MOST_OFF = 2e-4
-#: A block may last for this part of the time since the motion changed [1], while its compression
-#: changes by at most this [1].
-_GROWTH, _MOST_CHANGE = 0.05, 5e-4
-#: A slope counts by half where it is as many of its standard deviations [1]: friction and delay
-#: would else meet the noise of the motion in a hold, which makes them less than they are.
-_SLOPE_DEVIATIONS = 3.0
-#: Blocks over which a speed is told from the noise of the motion [1]: 50 ms.
-_BLOCKS_OF_SPEED = 5
 #: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
 #: 50. Where there would be more, each two become one, and all that follow last twice as long.
 MOST_BLOCKS = 600
-
-
-@dataclass(frozen=True)
-class Points:
-    """A record as arrays: `n` points of the motion, `m` blocks observed."""
-
-    #: [s, s, 1, 1/s, 1/s]: the second are the steps that end at the points, the fourth the speeds
-    #: as far as they are above their noise, the last the changes of the speed there, (n,).
-    times: Array
-    elapsed: Array
-    compressions: Array
-    speeds: Array
-    bends: Array
-    steps: Array  #: longest time between samples beside a point [s], (n,)
-    #: Points of the blocks, (m,).
-    first: Indices
-    last: Indices
-    #: Mean times [s], durations [s], samples [1], mean stresses [Pa], (m,).
-    middles: Array
-    durations: Array
-    counts: Array
-    stresses: Array
-
-    #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
-    path: tuple[Array, Array, Array] | None = None
-    #: Change of the compressions by the delay that has moved them [1/s]; None: none has.
-    rates: Array | None = None
-
-    def earlier(self, delay: float, touch_speed: float) -> Points:
-        """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
-
-        Beyond its ends the motion goes on as there. It is the mean over a block, so that a
-        solution can follow its derivative past the points.
-        """
-        own = self.times, self.compressions, self.speeds
-        path = self.path if self.path is not None else own
-        at, half = self.times + delay, 0.5 * BLOCK_TIME
-        before, after = _along(path, at - half), _along(path, at + half)
-        found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
-        # From the block before to the one behind, so that their errors follow the delay smoothly.
-        earlier, later = (_along(path, at + way * half).value for way in (-3.0, 3.0))
-        bends = np.abs(later - after.value - before.value + earlier) / BLOCK_TIME
-        # It may bend anywhere between two points.
-        steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
-        moved = replace(
-            self,
-            compressions=found,
-            speeds=np.interp(at, path[0], path[2]),
-            bends=bends,
-            steps=steps,
-            rates=(after.value - before.value) / BLOCK_TIME,
-        )
-        moved.__dict__["moments"] = self.moments  # by the times alone
-        return moved
-
-    @functools.cached_property
-    def met(self) -> NDArray[np.intp]:
-        """The first point that each block meets, the one after those of the block before, (m,)."""
-        return np.append(self.first[:1], self.last[:-1] + 1)
-
-    @functools.cached_property
-    def moments(self) -> Array:
-        """Moments of the steps that end at the points, (n, 4, RATES)."""
-        return loops.moments(self.elapsed)
-
-    def mean(self, values: Array) -> Array:
-        """Return the means over the blocks of values at the points, shape (..., m)."""
-        result: Array = 0.5 * (values[..., self.first] + values[..., self.last])
-        return result
-
-
-class _Along(NamedTuple):
-    """A motion at some times."""
-
-    value: Array  #: compressions [1]
-    integral: Array  #: of them over the time [s]
-
-
-def _along(path: tuple[Array, Array, Array], at: Array) -> _Along:
-    """Return a motion, linear between its points and beyond its ends."""
-    times, values, speeds = path
-    slopes = np.concatenate([speeds[:1], np.diff(values) / np.diff(times), speeds[-1:]])
-    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
-    until = np.concatenate([[0.0], np.cumsum(areas)])
-    segment = np.searchsorted(times, at, side="right")
-    begin = np.maximum(segment - 1, 0)
-    since, slope = at - times[begin], slopes[segment]
-    value = values[begin] + slope * since
-    return _Along(value, until[begin] + 0.5 * (values[begin] + value) * since)
 
 
 class Record:
@@ -191,10 +84,6 @@ class Record:
         self.max_compression = -math.inf
 
     @property
-    def _touch_time(self) -> float:
-        return TOUCH_TIME if self.noise_sd < _SHARP_NOISE else 0.0
-
-    @property
     def end(self) -> float:
         """Time of the newest sample [s]."""
         return self._open.end if self._open is not None else 0.0
@@ -210,11 +99,11 @@ class Record:
         A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
         compression to the power `exponent`.
         """
-        if len(self._rows) <= _BLOCKS_OF_SPEED:
+        n = 5  # blocks over which a speed is told from the noise of the motion: 50 ms
+        if len(self._rows) <= n:
             return False
         times = np.array([row.middle for row in self._rows])
         strains = np.maximum([row.compression for row in self._rows], 0.0) ** exponent
-        n = _BLOCKS_OF_SPEED
         speeds = (strains[n:] - strains[:-n]) / (times[n:] - times[:-n])
         is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
         is_seen = times[n:] - times[0] > TOUCH_TIME
@@ -239,8 +128,10 @@ class Record:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
-        if cell.start - self._start < self._touch_time:
-            return time - cell.start > _LEAST_BLOCK - SAME_TIME
+        # Above a noise of 5e-5 a sample alone tells nothing of the touch.
+        if cell.start - self._start < (TOUCH_TIME if self.noise_sd < 5e-5 else 0.0):
+            # Above 1 kHz the samples there are blocks of this time [s].
+            return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
         if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
@@ -328,7 +219,8 @@ class Record:
         middle = cell.line()[0]
         off = abs(cell.compression / cell.count - last.at(middle))
         spread = math.sqrt(1.0 / cell.count + 4.0 / last.count)
-        if off > _MOST_OFF + _LINE_DEVIATIONS * self.noise_sd * spread:
+        # With 1.5e-5 noise of 0.1 um would move estimates by half a standard deviation.
+        if off > 2e-4 + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
         if (
@@ -338,9 +230,10 @@ class Record:
         ):
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
+        # It may last for a twentieth of the time since the motion changed.
         return (
-            change < _MOST_CHANGE + _LINE_DEVIATIONS * self.noise_sd * spread
-            and cell.end - last.start <= _GROWTH * (cell.end - self._changed) + SAME_TIME
+            change < 5e-4 + _LINE_DEVIATIONS * self.noise_sd * spread
+            and cell.end - last.start <= 0.05 * (cell.end - self._changed) + SAME_TIME
         )
 
     def points(self) -> Points:
@@ -372,10 +265,7 @@ class Record:
     def see_way(self, way: Array) -> None:
         """Take the way of the probe before the first sample.
 
-        Parameters
-        ----------
-        way : ndarray, shape (3, n)
-            Times [s], compressions [1] and stresses [Pa].
+        `way`: times [s], compressions [1] and stresses [Pa], (3, n).
         """
         self._approach.see_way(way, self._tolerance(1.0))
 
@@ -423,7 +313,10 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
     motion = compression[block] + slope[block] * offsets
     elapsed = np.diff(times, prepend=times[0] if before is None else before)
     bends = np.zeros_like(times)
-    speeds = _above_noise(slope, _SLOPE_DEVIATIONS * noise_sd * slope_sd)[block]
+    # A slope counts by half at three of its standard deviations: friction and delay would else
+    # meet the noise of the motion in a hold, which makes them less than they are.
+    square, noise = slope**2, (3.0 * noise_sd * slope_sd) ** 2
+    speeds = (slope * square / np.where(square > 0.0, square + noise, 1.0))[block]
     if times.size > 2:
         bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
         speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
@@ -443,11 +336,5 @@ def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None)
         durations=(duration + step)[observed],
         counts=count[observed],
         stresses=stress[observed],
+        moments=loops.moments(elapsed),
     )
-
-
-def _above_noise(slopes: Array, noise: Array) -> Array:
-    """Return slopes as far as they are above their noise [1/s]."""
-    square = slopes**2
-    result: Array = slopes * square / np.where(square > 0.0, square + noise**2, 1.0)
-    return result

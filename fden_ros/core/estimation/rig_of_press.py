@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fden_ros.core.estimation.learned_scales import MOTION_SCALES
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import rig_places
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
+from fden_ros.core.estimation.rig_knowledge import MOTION_SCALES, RigKnowledge
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.estimation.unknowns import Lifetime
 
@@ -49,8 +48,7 @@ def motion_evidence(press: PressPosterior) -> list[float] | None:
         points, maximum = one.points(press.intake.record.points()), solved.best.maximum
         own = [solved.posterior.evidence(points, replace(maximum, scales=s)) for s in grid]
         found.append(math.log(weight) + np.array(own) - max(own))
-    result: list[float] = np.logaddexp.reduce(found, axis=0).tolist()
-    return result
+    return np.logaddexp.reduce(found, axis=0).tolist()
 
 
 def rig_after(press: PressPosterior) -> RigKnowledge | None:

@@ -32,16 +32,12 @@ class WeighedScales(NamedTuple):
 #: from a law that is exact to one that is hardly a law. A kernel that is nearly the law's is less
 #: likely by the logarithm beside it, as is one that is hardly a law: 2 s of a hold look like a
 #: power law, and the rest of it is none. Chosen on measured beef of one day, held on another's.
-KERNEL_FACTORS = (0.001, 0.1, 1.0, 2.0, 4.0)
-_KERNEL_LOG_PRIOR = (-2.0, -2.0, 0.0, 0.0, -1.0)
-CHARACTERISTIC_FACTORS = (0.001, 0.1, 0.5, 1.65, 5.0)
+_KERNEL_FACTORS = ((0.001, -2.0), (0.1, -2.0), (1.0, 0.0), (2.0, 0.0), (4.0, -1.0))
+_CHARACTERISTIC_FACTORS = (0.001, 0.1, 0.5, 1.65, 5.0)
 #: Scales of the roughness, likewise; a law with no roughness has no other error either.
 ROUGHNESS_FACTORS = (0.0, 0.05, 0.15, 0.5)
 #: Scales of the surface's motion: as stated, and more. Evidence may widen it, never shrink.
 MOTION_FACTORS = (1.0, 2.5)
-#: Errors of kernel and characteristic go together: places of the grid apart beyond this do not
-#: count, and by one apart a scale is less likely by e^-0.5.
-_MOST_APART = 2
 
 
 def scales_of(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
@@ -50,16 +46,18 @@ def scales_of(uncertainty: Uncertainty) -> tuple[WeighedScales, ...]:
     if not unit:
         return carried_scales(uncertainty)
     found = []
-    for (i, kernel), (j, characteristic), (r, roughness), motion in itertools.product(
-        enumerate(KERNEL_FACTORS),
-        enumerate(CHARACTERISTIC_FACTORS),
+    for (i, (kernel, log_prior)), (j, characteristic), (r, roughness), motion in itertools.product(
+        enumerate(_KERNEL_FACTORS),
+        enumerate(_CHARACTERISTIC_FACTORS),
         enumerate(ROUGHNESS_FACTORS),
         _motions(uncertainty),
     ):
-        if abs(i - j) > _MOST_APART or (r == 0 and j > 0) or (r > 1 and j == 0):
+        # Errors of kernel and characteristic go together: places of the grid more than two apart
+        # do not count, and by one apart a scale is less likely by e^-0.5.
+        if abs(i - j) > 2 or (r == 0 and j > 0) or (r > 1 and j == 0):
             continue
         scales = Scales(kernel * unit, characteristic * unit, roughness * unit, motion)
-        found.append(WeighedScales(scales, _KERNEL_LOG_PRIOR[i] - 0.5 * (i - j) ** 2))
+        found.append(WeighedScales(scales, log_prior - 0.5 * (i - j) ** 2))
     return tuple(found)
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import EVALUATION_COST
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.law_error import law_error
 from fden_ros.core.estimation.maxima import (
@@ -21,13 +23,11 @@ from fden_ros.core.estimation.maxima import (
     find_maxima,
     follow_maxima,
 )
-from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.rivals import Question, Rivals, rivals_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown

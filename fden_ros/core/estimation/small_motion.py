@@ -27,13 +27,8 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.unknowns import (
-    KERNEL_HATS,
-    LOG_G,
-    LOG_GN,
-    ORDER,
-    local_splines,
-)
+from fden_ros.core.estimation.smooth_errors import KERNEL_HATS, local_splines
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 
 #: Modes without a stiffness, as where the tool would yield by less than nothing, may have the rest
 #: of this share [1].

@@ -21,12 +21,11 @@ from scipy.special import log_ndtr
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.density import Density, Linear
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import EVALUATION_COST, Density, Linear, Maximum
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.loops import WalkState
-from fden_ros.core.estimation.maximum import EVALUATION_COST, Maximum
 from fden_ros.core.estimation.mixture import NEGLIGIBLE
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.scales import Scales, WeighedScales
 from fden_ros.core.estimation.unknowns import ORDER
 
@@ -74,9 +73,6 @@ class _Group(NamedTuple):
     evidence: Array  #: logarithms, (places,)
 
 
-_LOG_ROOT_TWO_PI = 0.5 * math.log(2.0 * math.pi)
-
-
 def cost_of(points: Points, grid: Sequence[WeighedScales]) -> int:
     """Return what a mixture over a grid costs, in points evaluated."""
     # A place of the grid costs as much as 10 points.
@@ -94,10 +90,6 @@ def averaged(
 
     Parameters
     ----------
-    density : Density
-    points : Points
-    maximum : Maximum
-    grid : sequence of WeighedScales
     held : int or None
         Place of an unknown that is as it is at the maximum.
 
@@ -218,13 +210,13 @@ def _beside_bound(
     sd = 1.0 / math.sqrt(max(float(curvature), 1e-6))
     # Of a Gaussian that is cut off at z standard deviations above its mean.
     z = abs(pull) * sd
+    log_root_two_pi = 0.5 * math.log(2.0 * math.pi)
     # So far out the tail of a Gaussian is an exponential.
     if z > 30.0:
-        # There it falls as an exponential.
-        mean, variance, log_tail = sd / z, (sd / z) ** 2, -math.log(z) - _LOG_ROOT_TWO_PI
+        mean, variance, log_tail = sd / z, (sd / z) ** 2, -math.log(z) - log_root_two_pi
     else:
         log_tail = float(log_ndtr(-z)) + 0.5 * z**2
-        hazard = math.exp(-log_tail - _LOG_ROOT_TWO_PI)
+        hazard = math.exp(-log_tail - log_root_two_pi)
         mean, variance = sd * (hazard - z), sd**2 * (1.0 - hazard * (hazard - z))
     log_share = math.log(sd) + log_tail
     return _BesideBound(math.copysign(mean, -pull), variance, shift, log_share, z)

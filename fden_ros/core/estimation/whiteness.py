@@ -17,10 +17,7 @@ NO_CHANCE = 5.0
 def contradicts(residuals: Array) -> bool:
     """Return whether sums over windows of 1, 2, 4, ... are larger than chance makes them.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (n,)
-        Whitened, in the order of time.
+    `residuals`: whitened, in the order of time, (n,).
     """
     size = 1
     while size <= residuals.size:

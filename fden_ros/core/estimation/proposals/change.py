@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.density import EVALUATION_COST
 from fden_ros.core.estimation.maxima import follow_maxima
-from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution, cost_of, evidence_under
 from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 

@@ -16,21 +16,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.mixture import NEGLIGIBLE, Component, moments
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
-
-#: Nodes on each side of the maximum [1], and their steps.
-_NODES, _NODE_STEPS = 12, 3
-#: A ridge that is less likely than this does not count [1]: its variance would widen an interval
-#: of which it is no part.
-_TAIL = 0.01
-#: An origin that is known to this part of the distance of two nodes is not hidden [1].
-_SEEN = 0.5
 
 
 def propose(
@@ -49,7 +41,8 @@ def propose(
     if growth == 0.0:
         return Proposed()
     step = 1.0 / growth
-    if math.sqrt(float(posterior.belief.variances()[ORIGIN])) < _SEEN * step:
+    # An origin that is known to half the distance of two nodes is not hidden.
+    if math.sqrt(float(posterior.belief.variances()[ORIGIN])) < 0.5 * step:
         return Proposed()
     there = posterior.evidence(points, replace(best.maximum, scales=best.best_scales))
     width = step / math.sqrt(2.0 * math.pi)
@@ -65,7 +58,8 @@ def propose(
         if left_out:
             sides.append(_together(left_out))
     maxima = sum(math.exp(e - found.log_evidence[0]) for e in found.log_evidence)
-    if sum(share for share, _ in sides) < _TAIL * maxima:
+    # The variance of a less likely ridge would widen an interval of which it is no part.
+    if sum(share for share, _ in sides) < 0.01 * maxima:
         return Proposed()
     return Proposed(tuple((found.log_evidence[0] + math.log(w), node) for w, node in sides))
 
@@ -79,7 +73,8 @@ def _nodes(
     """
     state, before, highest = best.maximum.state, best.mean, there
     found: list[tuple[float, Solution]] = []
-    for _ in range(_NODES):
+    # So that a solution has a longest time: 12 nodes, of 3 steps each.
+    for _ in range(12):
         if posterior.limit.is_reached:
             break
         state = state.copy()
@@ -87,7 +82,7 @@ def _nodes(
         state[LOG_G] += math.copysign(1.0, way)
         try:
             scales = best.best_scales
-            node = yield from posterior.given(ORIGIN, points, state, scales, _NODE_STEPS)
+            node = yield from posterior.given(ORIGIN, points, state, scales, 3)
             evidence = posterior.evidence_beside(points, node, best)
         except UNSOLVABLE:
             break

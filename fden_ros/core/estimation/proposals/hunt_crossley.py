@@ -23,25 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.estimate import OtherLawKind
-from fden_ros.core.estimation.loops import ResponseState
+from fden_ros.core.estimation.loops import Evaluation, ResponseState
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
-from fden_ros.core.estimation.press_model import Curve, Evaluation, PressModel
-from fden_ros.core.estimation.record import Points
+from fden_ros.core.estimation.press_model import Curve, PressModel
 from fden_ros.core.estimation.rivals import Law, Question, Rival, set_prior, told
+from fden_ros.core.estimation.smooth_errors import REFERENCE_STRAIN, splines
 from fden_ros.core.estimation.solution import cost_of
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER, REFERENCE_STRAIN, splines
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import RATES
 
-#: Prior of ln m: a half more or less than the geometry's power [1].
-_LOG_POWER_SD = 0.5
-#: The power is sought from that of strains above this part of the largest [1], and lambda from
-#: these odds [1].
-_TELLING, _FIRST_PART = 0.2, 0.3
-#: Where its log evidence after 4 steps is lower by 40 than that of the law without errors of its
-#: kernel, it is not sought on [1]: tissue that goes on to relax.
-_HOPELESS, _FIRST_STEPS = 40.0, 4
 #: Least strain that has a logarithm [1].
 _LEAST = 1e-9
 
@@ -85,13 +78,7 @@ class _HuntCrossley(PressModel):
     def evaluate(
         self, points: Points, state: Array, going_on: ResponseState | None = None
     ) -> Evaluation:
-        """Return the stress of every block with its derivatives.
-
-        Raises
-        ------
-        FloatingPointError
-            If the stress is beyond floating-point numbers.
-        """
+        """Return the stress of every block with its derivatives."""
         points = self.motion.moved(points, state)
         design, moved = self.motion.design(points), len(self.unknowns)
         at = self._elastic(points, state)
@@ -154,15 +141,18 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     own = posterior.model
     assert isinstance(own, _HuntCrossley)
     own.fastest, own.order_of_law = fastest, model.order(question.start)
-    set_prior(posterior, LOG_GN, 0.0, _LOG_POWER_SD)
+    # Of ln m: a half more or less than the geometry's power.
+    set_prior(posterior, LOG_GN, 0.0, 0.5)
     scales, errors = law.straight.best_scales, law.straight.maximum.errors
     try:
-        begun = yield from posterior.maximum(points, start, scales, _FIRST_STEPS)
+        begun = yield from posterior.maximum(points, start, scales, most=4)
         evidence = posterior.evidence(points, replace(begun, errors=errors))
     except UNSOLVABLE:
         return None
     yield cost_of(points, ())
-    if evidence < law.straight.log_evidence - _HOPELESS:
+    # After these steps lower by 40 than that of the law without errors of its kernel: tissue that
+    # goes on to relax.
+    if evidence < law.straight.log_evidence - 40.0:
         return None
     found = yield from question.solved(posterior, begun.state, scales)
     if found is None:
@@ -178,7 +168,8 @@ def _start(question: Question) -> Array | None:
     points, model, state = question.points, question.posterior.model, question.start
     compressions, _ = model.motion.ends(points, state)
     strains = model.geometry.strains(np.maximum(compressions, 0.0)).values
-    tells = (strains > _TELLING * strains.max()) & (points.stresses > 0.0)
+    # The power is sought from that of strains above a fifth of the largest.
+    tells = (strains > 0.2 * strains.max()) & (points.stresses > 0.0)
     if not tells.any():
         return None
     place = np.log(strains[tells] / REFERENCE_STRAIN)
@@ -187,5 +178,5 @@ def _start(question: Question) -> Array | None:
     power = float(off @ stresses / max(off @ off, _LEAST))
     state[LOG_GN] = math.log(min(max(power, 0.5), 4.0))
     state[LOG_G] = float(stresses.mean() - math.exp(state[LOG_GN]) * place.mean())
-    state[ORDER], state[model.characteristic] = _FIRST_PART, 0.0
+    state[ORDER], state[model.characteristic] = 0.3, 0.0
     return state

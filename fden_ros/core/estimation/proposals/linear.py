@@ -18,17 +18,17 @@ from dataclasses import replace
 from scipy.special import log_ndtr
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import Points
+from fden_ros.core.estimation.loops import Evaluation
 from fden_ros.core.estimation.maxima import Proposed, Solutions, boundary_of
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
-from fden_ros.core.estimation.press_model import Evaluation
-from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_GN
 
-#: A linear law that is less likely than the bend by this logarithm after as many steps is not
+#: Steps after which a linear law that is less likely than the bend by a logarithm of 40 is not
 #: sought on [1].
-_HOPELESS, _FIRST_STEPS = 40.0, 2
+_FIRST_STEPS = 2
 
 
 def propose(
@@ -49,7 +49,7 @@ def propose(
     scales = best.best_scales
     linear = yield from posterior.given(LOG_GN, points, state, scales, _FIRST_STEPS, known)
     if not linear.is_solved:
-        if posterior.evidence_beside(points, linear, best) < best.log_evidence - _HOPELESS:
+        if posterior.evidence_beside(points, linear, best) < best.log_evidence - 40.0:
             return Proposed()
         begun = linear.maximum
         known = begun.evaluation

@@ -26,10 +26,6 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.mixture import positive
 
-#: How far alike tissue is from that of the last place: standard deviations of ln G, ln Gn and
-#: alpha [1], by which simulated touches were told apart best.
-_ALIKE: Array = np.array([0.3, 0.15, 0.04])
-
 
 class Tissue(NamedTuple):
     """A belief in (ln G, ln Gn, alpha)."""
@@ -53,7 +49,10 @@ def log_odds_of_another(
         What the prior of the origin makes them less [1].
     """
     prior = Tissue(config.prior.mean, np.diag(config.prior.deviations**2))
-    alike = last._replace(covariance=last.covariance + np.diag(_ALIKE**2))
+    # How far alike tissue is from that of the last place: standard deviations of ln G, ln Gn and
+    # alpha, by which simulated touches were told apart best.
+    deviations = np.array([0.3, 0.15, 0.04])
+    alike = last._replace(covariance=last.covariance + np.diag(deviations**2))
     return partial(_log_odds, prior, alike, log_wider, not config.is_order_given)
 
 
@@ -74,7 +73,6 @@ def log_ratio(prior: Tissue, other: Tissue, told: Tissue, *, learns_order: bool)
 
     Parameters
     ----------
-    prior, other : Tissue
     told : Tissue
         The posterior with the first.
     learns_order : bool

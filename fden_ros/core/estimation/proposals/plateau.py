@@ -22,22 +22,17 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.estimation.block import BLOCK_TIME, Points
 from fden_ros.core.estimation.estimate import OtherLaw, OtherLawKind
 from fden_ros.core.estimation.maxima import NEAR_BOUNDARY, boundary_of
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.record import BLOCK_TIME, Points
 from fden_ros.core.estimation.rivals import PART, Law, Question, Rival, told
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import RATES, SPACING, left_after, relaxation_weights
 
-#: Rates of the rival: times the time since the touch of one that has just begun, and times that of
-#: a block of one that is over at once, as a dashpot's is [1].
-_SLOWEST, _FASTEST = 0.3, 10.0
-#: The fastest rates that are tried of a relaxation that is over at once [1].
-_AT_ONCE = 3
 #: Place of the logarithm of the rate in what is told, and its standard deviation where it is not
 #: found between two others, in steps of the rates [1]: it is within half a step.
 _LOG_RATE, _UNKNOWN_RATE = 3, 0.3
@@ -153,9 +148,10 @@ def _component(points: Points, model: PressModel, solution: Solution) -> Compone
 def _rates(question: Question) -> list[int]:
     """Return the places of the rates that a record may show."""
     elapsed = question.elapsed
-    wanted = np.flatnonzero((RATES * elapsed > _SLOWEST) & (RATES * BLOCK_TIME < _FASTEST))
-    found: list[int] = (wanted[-_AT_ONCE:] if question.at_once else wanted).tolist()
-    return found
+    # From that of a relaxation that has just begun to that of one that is over within a block, as
+    # a dashpot's is.
+    wanted = np.flatnonzero((RATES * elapsed > 0.3) & (RATES * BLOCK_TIME < 10.0))
+    return (wanted[-3:] if question.at_once else wanted).tolist()
 
 
 def _weighed(question: Question, law: Law, rates: list[int]) -> Parts[list[_Tried]]:

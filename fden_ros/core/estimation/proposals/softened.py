@@ -11,15 +11,12 @@ from __future__ import annotations
 
 from fden_ros.core.estimation.unknowns import Lifetime, Unknown
 
-#: Name of the unknown.
-SOFTENED = "softened"
-
 
 def unknowns() -> tuple[Unknown, ...]:
     """Return what a press into tissue that was pressed before may differ by; or not, as likely."""
     return (
         Unknown(
-            SOFTENED,
+            "softened",
             0.0,
             1.0,
             Lifetime.CONTACT,
