@@ -620,8 +620,12 @@ def test_a_new_law_is_one_new_file(
     # Before the data each of the two is as likely as the other: e^3 is 0.95 after them.
     assert last.other_law_probability == pytest.approx(1.0 / (1.0 + math.exp(-gain)), abs=5e-3)
     assert estimator.is_mismatch is is_told
-    (motion_of_it,) = last.small_motions
-    assert (motion_of_it.components[0].mean is rivals.likeliest.component.mean) is is_told
+    # Where the other is told N/m is its own, and a mixture of both before.
+    *of_law, of_other = last.small_motions
+    assert of_other.components[0].mean is rivals.likeliest.component.mean
+    shares = [one.weight for one in of_law] + [of_other.weight]
+    share = rivals.probability
+    assert shares == ([1.0] if is_told else pytest.approx([1.0 - share, share]))
 
 
 def _drawn(seed: int) -> tuple[np.random.Generator, Array, float]:

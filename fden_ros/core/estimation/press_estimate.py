@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +14,17 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
-from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis, after_changes
+from fden_ros.core.estimation.estimate import Estimate, LawError, OtherLaw, ParameterSet
+from fden_ros.core.estimation.hypothesis import (
+    LEAST_WEIGHT,
+    MISMATCH,
+    Hypothesis,
+    after_changes,
+)
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
+from fden_ros.core.estimation.rivals import Rivals
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import MAX_EXPONENT
@@ -35,6 +42,8 @@ _UNSEEN = 0.5
 #: record [1], as far as its splines go: of a spring and dashpot 373 of 848 intervals hold without
 #: this limit, and 324 of 406 with it.
 _BEYOND = 1.05
+#: By so much less of ln Gn a law is linear ten times as deep.
+_LINEAR = math.log(10.0)
 
 
 def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
@@ -79,8 +88,9 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     seen = press.shows_relaxation or press.setting.carried is not None
     unseen = 0.0 if seen else (_UNSEEN * config.uncertainty.characteristic_sd) ** 2
     motions = tuple(
-        replace(_small_motion(press, one, tissue), weight=weight, unseen=unseen)
+        replace(motion, unseen=unseen)
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
+        for motion in _small_motions(press, one, tissue, weight)
     )
     own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
     whole_state = moments(own_tissue)
@@ -99,7 +109,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         mean_dwell_time=likeliest.mean_dwell_time,
         law_error=solved.law_error,
         other_law_probability=mismatch_probability,
-        other_law=best.rivals.likeliest.told if best.rivals and best.rivals.likeliest else None,
+        other_law=_other_law(best),
         softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
@@ -114,22 +124,34 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     )
 
 
-def _small_motion(
-    press: PressPosterior, one: Hypothesis, tissue: tuple[Component, ...]
-) -> SmallMotion:
-    """Return what a hypothesis makes of a small motion; `tissue`: its components by now.
+def _small_motions(
+    press: PressPosterior, one: Hypothesis, tissue: tuple[Component, ...], weight: float
+) -> Iterator[SmallMotion]:
+    """Yield what a hypothesis of a weight makes of a small motion; `tissue`: its components now.
 
-    Where another law is likelier, that is what the likeliest makes of it.
+    Where another law may be true, that is a mixture with what the likeliest makes of it, and where
+    it is told, that alone.
     """
     assert one.solved is not None
     by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
-    other = one.other_law
-    if other is None:
-        return SmallMotion(one.solved.model, tissue, by_origin, shift=shift)
+    law = SmallMotion(one.solved.model, tissue, by_origin, shift=shift)
+    rivals = one.rivals if one.rivals is not None else Rivals()
+    other, share = rivals.likeliest, rivals.probability
+    if other is None or share < 1.0 - MISMATCH:
+        yield replace(law, weight=weight)
+        return
     own = after_changes(other.component, other.model)
-    if press.intake.record.max_compression + shift > _BEYOND * other.deepest:
-        own = own._replace(weight=0.0)
-    return SmallMotion(other.model, (own,), by_origin, shift=shift)
+    is_deeper = press.intake.record.max_compression + shift > _BEYOND * other.deepest
+    if share > MISMATCH:
+        share, own = 1.0, own._replace(weight=float(not is_deeper))
+    elif is_deeper and not own.covariance[LOG_GN, LOG_GN]:
+        # What is linear over its record may be so deeper.
+        linear = own.mean.copy()
+        linear[LOG_GN] -= _LINEAR
+        own = own._replace(mean=linear)
+    if share < 1.0:
+        yield replace(law, weight=(1.0 - share) * weight)
+    yield SmallMotion(other.model, (own,), by_origin, weight=share * weight, shift=shift)
 
 
 def _of_law(component: Component, one: Hypothesis) -> Component:
@@ -147,6 +169,12 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     covariance[_ORIGIN, _ORIGIN] = by_origin @ with_origin
     covariance[:2, :2] += one.setting.config.uncertainty.thickness_sd**2
     return Component(weight, mean, covariance)
+
+
+def _other_law(best: Hypothesis) -> OtherLaw | None:
+    """Return the likeliest other law as it is told; None: none was asked for."""
+    likeliest = best.rivals.likeliest if best.rivals is not None else None
+    return likeliest.told if likeliest is not None else None
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:
