@@ -26,9 +26,6 @@ from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 
 #: Nodes on each side of the maximum [1], and their steps.
 _NODES, _NODE_STEPS = 12, 3
-#: A ridge that is less likely than this does not count [1]: its variance would widen an interval
-#: of which it is no part.
-_TAIL = 0.01
 #: An origin that is known to this part of the distance of two nodes is not hidden [1].
 _SEEN = 0.5
 
@@ -64,9 +61,6 @@ def propose(
                 left_out.append((share, node))
         if left_out:
             sides.append(_together(left_out))
-    maxima = sum(math.exp(e - found.log_evidence[0]) for e in found.log_evidence)
-    if sum(share for share, _ in sides) < _TAIL * maxima:
-        return Proposed()
     return Proposed(tuple((found.log_evidence[0] + math.log(w), node) for w, node in sides))
 
 
@@ -94,11 +88,8 @@ def _nodes(
         highest = max(highest, evidence)
         if evidence < highest - NEGLIGIBLE:
             break
-        moved = node.mean[ORIGIN] - before[ORIGIN]
-        if not moved:
-            break
         # Each stands for all origins half way to the next.
-        along = (node.mean - before) * (way / moved)
+        along = (node.mean - before) * (way / (node.mean[ORIGIN] - before[ORIGIN]))
         covariance = node.covariance + np.outer(along, along) / 12.0
         found.append((evidence, replace(node, covariance=covariance)))
         state, before = node.maximum.state, node.mean
