@@ -83,7 +83,6 @@ class PressFilter:
         self.x = np.empty(n + 2)
         self.x[:n] = solution.mean
         law = slice(0, LARGEST_STEP.size)
-        self._begun = np.abs(solution.mean - self._about)[law]
         self._solved = solution.mean[law].copy(), solution.covariance.diagonal()[law].copy()
         self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
         self.P = np.empty((n + 2, n + 2))
@@ -108,7 +107,7 @@ class PressFilter:
         """Whether it is still about where it is linear: within one step of a solution."""
         law = slice(0, LARGEST_STEP.size)
         off = np.abs(self.x[law] - self._about[law])
-        return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
+        return bool(np.all(off <= LARGEST_STEP))
 
     @property
     def is_linear(self) -> bool:
