@@ -32,7 +32,6 @@ from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.record import Points
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.law import MAX_EXPONENT
 
 #: The linear model may lack this part of the stress [1]: with tissue of the law it is below 0.08,
 #: and with a prior that excluded the tissue above 0.3 where Gn was 22 for 9.
@@ -122,11 +121,6 @@ class PressFilter:
         """
         mean, variances = self._solved
         return bool(np.any(np.square(self.x[: mean.size] - mean) > variances))
-
-    @property
-    def is_beyond_numbers(self) -> bool:
-        """Whether no number has its G or Gn."""
-        return not bool(np.all(np.abs(self.x[: LARGEST_STEP.size]) < MAX_EXPONENT))
 
     @property
     def mean_dwell_time(self) -> float:

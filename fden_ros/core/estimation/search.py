@@ -24,7 +24,7 @@ from fden_ros.core.estimation.maxima import (
 from fden_ros.core.estimation.maximum import EVALUATION_COST
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
-from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.record import Points
@@ -182,11 +182,7 @@ class Search:
             strain = self._strain(self.setting.origin(before.best.mean))
             tracked = [(before.grown(s, posterior), s) for s in before.solutions.maxima]
         if tracked and self.care < Care.FROM_STARTS:
-            try:
-                found = yield from follow_maxima(posterior, points, tracked, strain)
-                return found, strain
-            except UNSOLVABLE:
-                pass  # the record has grown beyond where the last solution has numbers
+            return (yield from follow_maxima(posterior, points, tracked, strain)), strain
         first, starts = posterior.moderate_scales, self._starts()
         found = yield from find_maxima(posterior, points, starts, first, tracked, strain)
         return found, strain
