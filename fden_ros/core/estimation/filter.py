@@ -33,7 +33,7 @@ from fden_ros.core.estimation.maximum import LARGEST_STEP
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORDER
-from fden_ros.core.law import MAX_EXPONENT, log_phi
+from fden_ros.core.law import log_phi
 
 
 class Update(NamedTuple):
@@ -115,7 +115,6 @@ class PressFilter:
         p00, p01, p11 = solution.walk.covariance
         self.x = np.empty(n + 2)
         self.x[:n] = solution.mean
-        self._begun = np.abs(solution.mean - self._about)[LAW_PLACES]
         self._solved = (
             solution.mean[LAW_PLACES].copy(),
             solution.covariance.diagonal()[LAW_PLACES].copy(),
@@ -142,7 +141,7 @@ class PressFilter:
     def is_near(self) -> bool:
         """Whether it is still about where it is linear: within one step of a solution."""
         off = np.abs(self.x[LAW_PLACES] - self._about[LAW_PLACES])
-        return bool(np.all(off <= np.maximum(LARGEST_STEP, self._begun)))
+        return bool(np.all(off <= LARGEST_STEP))
 
     @property
     def is_linear(self) -> bool:
@@ -159,11 +158,6 @@ class PressFilter:
         """
         mean, variances = self._solved
         return bool(np.any(np.square(self.x[LAW_PLACES] - mean) > variances))
-
-    @property
-    def is_beyond_numbers(self) -> bool:
-        """Whether no number has its G or Gn."""
-        return not bool(np.all(np.abs(self.x[LAW_PLACES]) < MAX_EXPONENT))
 
     @property
     def mean_dwell_time(self) -> float:

@@ -197,8 +197,6 @@ class Hypothesis:
                 found = update
         if np.isfinite(logs).any():
             self._set_logs(logs)
-        if self._filters[likeliest].is_beyond_numbers:
-            return None
         return found
 
     def elastic_response(self, compression: float) -> float | None:

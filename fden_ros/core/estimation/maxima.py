@@ -159,7 +159,7 @@ def find_maxima(
     """
     found = yield from posterior.solutions_in_parts(points, starts, scales)
     found += yield from _followed(posterior, points, before, strain)
-    return (yield from _weighed(posterior, points, found, strain))
+    return (yield from _weighed(posterior, points, found))
 
 
 def follow_maxima(
@@ -178,7 +178,7 @@ def follow_maxima(
     found = yield from _followed(posterior, points, before, strain)
     if not found:
         raise FloatingPointError("the stress is not finite at any maximum")
-    return (yield from _weighed(posterior, points, found, strain))
+    return (yield from _weighed(posterior, points, found))
 
 
 def _followed(
@@ -202,9 +202,7 @@ def _followed(
     return found
 
 
-def _weighed(
-    posterior: Posterior, points: Points, found: Sequence[Solution], strain: float
-) -> Parts[Solutions]:
+def _weighed(posterior: Posterior, points: Points, found: Sequence[Solution]) -> Parts[Solutions]:
     """Return the maxima that are apart, weighed by their evidence under the same errors."""
     found = _different(sorted(found, key=lambda s: -s.log_evidence))
     if len(found) == 1:
@@ -214,18 +212,10 @@ def _weighed(
     for k, one in enumerate(found):
         evidence[k] = evidence_under(posterior, points, one, errors, posterior.grid)
         yield cost_of(points, posterior.grid)
-    kept: list[tuple[float, Solution]] = []
-    boundary = boundary_of(strain)
-    has_linear = False
-    for k in np.argsort(-evidence):
-        is_linear = found[k].maximum.state[LOG_GN] < boundary + NEAR_BOUNDARY
-        is_negligible = evidence[k] < evidence.max() - NEGLIGIBLE
-        # So that a solution has a longest time: no recording had a fourth maximum.
-        if is_negligible or len(kept) == 3 or (is_linear and has_linear):
-            continue
-        kept.append((float(evidence[k]), found[k]))
-        has_linear |= is_linear
-    return Solutions(tuple(s for _, s in kept), tuple(e for e, _ in kept))
+    likely = [k for k in np.argsort(-evidence) if evidence[k] >= evidence.max() - NEGLIGIBLE]
+    # So that a solution has a longest time: no recording had a fourth maximum.
+    kept = likely[:3]
+    return Solutions(tuple(found[k] for k in kept), tuple(evidence[kept].tolist()))
 
 
 def _different(found: Sequence[Solution]) -> list[Solution]:

@@ -112,13 +112,11 @@ class Posterior(Density):
         return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
 
     def _refined(self, points: Points, best: Maximum) -> Parts[Solution]:
-        """Return the solution about a maximum, at the scales that are best there."""
-        seen = [best.scales]
+        """Return the solution about a maximum, at the scales that are best where it begins."""
         found = yield from self.averaged(points, best, self.grid)
-        while found.best_scales not in seen:
-            seen.append(found.best_scales)
-            scales, known = found.best_scales, best.evaluation
-            best = yield from self.maximum(points, best.state, scales, known=known)
+        scales = found.best_scales
+        if scales != best.scales or not best.is_solved:
+            best = yield from self.maximum(points, best.state, scales, known=best.evaluation)
             found = yield from self.averaged(points, best, self.grid)
         return self._considered(points, found)
 
@@ -135,20 +133,10 @@ class Posterior(Density):
         others = before.scales.keys() - {w.scales for w in near}
         near += tuple(w for w in self.grid if w.scales in others)
         found = yield from self.averaged(points, best, near)
-        if found.best_scales != scales or not best.is_solved:
-            # Under scales that no longer fit, steps are many and short.
-            found = yield from self._at_its_scales(points, best)
-        if not found.is_solved:
-            begun = yield from self.maximum(points, state, self.moderate_scales)
-            tried = [found, (yield from self._at_its_scales(points, begun))]
-            found = max(tried, key=lambda one: one.log_evidence)
-        return self._considered(points, found)
-
-    def _at_its_scales(self, points: Points, begun: Maximum) -> Parts[Solution]:
-        """Return the solution about the maximum at the scales that are best where it begins."""
-        chosen = (yield from self.averaged(points, begun, self.grid)).best_scales
-        best = yield from self.maximum(points, begun.state, chosen, known=begun.evaluation)
-        return (yield from self.averaged(points, best, self.grid))
+        if found.best_scales == scales and best.is_solved:
+            return self._considered(points, found)
+        # Under scales that no longer fit, steps are many and short.
+        return (yield from self._refined(points, best))
 
     def given(
         self,

@@ -51,7 +51,6 @@ class Schedule:
             elapsed > _TIME_RATIO * self._elapsed
             or compression > _DEPTH_RATIO * self._compression > 0.0
             or (best.filter is not None and best.filter.has_moved)
-            or best.has_turned
             or self._has_told_delay(best)
         )
 

@@ -25,16 +25,14 @@ from fden_ros.core.estimation.maxima import (
 )
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
-from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
+from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.rivals import Question, Rivals, rivals_of
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, Unknown
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
-#: Starts of a later touch's origin, about what is known of it in its standard deviations [1].
-_ORIGINS = (0.0, -1.0, -2.0, -3.0, 1.0)
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
 _MOST_EVALUATIONS = 200
 #: And the question whether another law is likelier [1].
@@ -182,11 +180,7 @@ class Search:
             strain = self._strain(self.setting.origin(before.best.mean))
             tracked = [(before.grown(s, posterior), s) for s in before.solutions.maxima]
         if tracked and self.care < Care.FROM_STARTS:
-            try:
-                found = yield from follow_maxima(posterior, points, tracked, strain)
-                return found, strain
-            except UNSOLVABLE:
-                pass  # the record has grown beyond where the last solution has numbers
+            return (yield from follow_maxima(posterior, points, tracked, strain)), strain
         first, starts = posterior.moderate_scales, self._starts()
         found = yield from find_maxima(posterior, points, starts, first, tracked, strain)
         return found, strain
@@ -194,7 +188,7 @@ class Search:
     def _starts(self) -> list[Array]:
         posterior, points = self.posterior, self.points
         if self.setting.carried is not None:
-            return [self._touching()]
+            return [posterior.belief.mean.copy()]
         found = []
         sd = posterior.model.unknowns[LOG_GN].sd
         # About the prior's mean in its standard deviations.
@@ -207,18 +201,3 @@ class Search:
                 start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)
             found.append(start)
         return found
-
-    def _touching(self) -> Array:
-        """Return the belief's mean with the origin that the stresses are nearest to.
-
-        Where the tissue is too low to be touched, no derivative leads to it.
-        """
-        posterior, points = self.posterior, self.points
-        belief, found = posterior.belief, []
-        sd = math.sqrt(float(belief.variances()[ORIGIN]))
-        for place in _ORIGINS if posterior.model.unknowns[ORIGIN].sd > 0.0 else (0.0,):
-            start = belief.mean.copy()
-            start[ORIGIN] += place * sd
-            off = points.stresses - posterior.model.response(points, start).stress
-            found.append((float(off @ off), start))
-        return min(found, key=lambda tried: tried[0])[1]

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import EVALUATION_COST
 from fden_ros.core.estimation.maxima import follow_maxima
@@ -31,8 +30,6 @@ from fden_ros.core.estimation.unknowns import Unknown, change_since, jerk_at
 #: Gain in log evidence beyond which the tissue has changed [1]: by chance in one contact of a
 #: thousand, at some 250 looks.
 THRESHOLD = 10.6
-#: Minus the log evidence where a record is beyond numbers without a change [1].
-_BEYOND = 1e6
 #: Least relative change of the stiffness that is said [1].
 _LEAST_STEP = 0.08
 #: A change is looked for between so many of the last blocks [1]: where a block is known to a
@@ -49,12 +46,8 @@ _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 SUSPICIOUS = 3.5
 #: Least time between two looks [s], and for how long one is looked for after that innovation [s].
 LOOK_PERIOD, SUSPECTED = 0.025, 0.1
-#: A change is placed anew within this time [s].
-PLACED_WITHIN = 0.04
-#: An older time, or a jerk, is worth a solution from this part of the best gain on [1].
-_AS_GOOD = 0.3
 #: Evaluations by which one tissue is sought [1], and how much more a change has to gain where it
-#: was not found in these [1].
+#: was not found in these [1]: without it a change was told in one beef record.
 _MOST_ALONE, _UNSURE = 25, 3.0
 #: Gain in log evidence with which it is looked for on [1].
 PROMISING = 5.0
@@ -117,32 +110,26 @@ class ChangeLook:
         highest, since = max(zip(gains, times, strict=True))
         # What the newest block alone shows may be a jerk.
         shown = max(g for g, time in zip(gains, times, strict=True) if time <= between[-2])
-        if shown < max(PROMISING, _AS_GOOD * highest):
+        if shown < PROMISING:
             return Look(None, highest)
         width = now - since
         near = [since + side * closer * width for closer in _CLOSER for side in (-1.0, 1.0)]
         times += self._within(near)
         events = [*(change_since(time) for time in times), *jerks]
         gains = yield from self._linear_gains(events)
-        told = [
-            (gain, time) for gain, time in zip(gains, times, strict=False) if time <= between[-2]
-        ]
-        if not told:
-            return Look(None, highest)
-        event = change_since(max(told)[1])
+        timed = zip(gains, times, strict=False)
+        event = change_since(max(pair for pair in timed if pair[1] <= between[-2])[1])
         found = yield from self._with(event)
         if found is None or abs(float(found.mean[self._place])) < _LEAST_STEP:
             return Look(None, highest)
         alone = yield from self._alone(last)
         gain = yield from self._gain(found, alone)
-        is_sure = alone is None or alone.is_solved
-        if gain < (THRESHOLD if is_sure else _UNSURE * THRESHOLD):
+        if gain < (THRESHOLD if alone is not None and alone.is_solved else _UNSURE * THRESHOLD):
             return Look(None, max(gain, highest))
-        by_jerk, place = max(zip(gains[len(times) :], range(len(jerks)), strict=True))
-        if by_jerk > _AS_GOOD * max(told)[0]:
-            jerked = yield from self._with(jerks[place])
-            if (yield from self._gain(jerked, alone)) > gain:
-                return Look(jerks[place], gain, self.posterior_with(jerks[place]), jerked)
+        _, jerk = max(zip(gains[len(times) :], jerks, strict=True), key=lambda pair: pair[0])
+        jerked = yield from self._with(jerk)
+        if (yield from self._gain(jerked, alone)) > gain:
+            return Look(jerk, gain, self.posterior_with(jerk), jerked)
         return Look(event, gain, self.posterior_with(event), found)
 
     def _within(self, times: Sequence[float]) -> list[float]:
@@ -198,10 +185,8 @@ class ChangeLook:
 
         Both are held to the errors there: softer tissue has smaller ones, stiffer tissue larger.
         """
-        if found is None:
+        if found is None or alone is None:
             return -math.inf
-        if alone is None:
-            return found.log_evidence + _BEYOND
         without, errors = self.without, found.maximum.errors
         yield cost_of(self.points, without.grid)
         with contextlib.suppress(*UNSOLVABLE):
@@ -223,34 +208,3 @@ class ChangeLook:
             )
             return found.best
         return None
-
-
-@dataclass(frozen=True)
-class Placing:
-    """A change that is placed anew, once more has been seen of it."""
-
-    points: Points
-    state: Array  #: from which it is solved
-    solution: Solution  #: the last one
-    posterior_with: Callable[[Unknown], Posterior]  #: of the change
-    change: Unknown
-
-    def in_parts(self) -> Parts[Unknown]:
-        """Return the change at the likeliest time within PLACED_WITHIN of where it was."""
-        change, highest = self.change, (yield from self._evidence(self.change))
-        for closer in _CLOSER:
-            assert change.since is not None
-            width = closer * PLACED_WITHIN
-            for since in (change.since - width, change.since + width):
-                other = change_since(since)
-                found = yield from self._evidence(other)
-                if found > highest:
-                    change, highest = other, found
-        return change
-
-    def _evidence(self, change: Unknown) -> Parts[float]:
-        posterior = self.posterior_with(change)
-        with contextlib.suppress(*UNSOLVABLE):
-            found = posterior.tracked_in_parts(self.points, self.state, self.solution)
-            return (yield from found).log_evidence
-        return -math.inf

@@ -57,10 +57,6 @@ def propose(
                 left_out.append((share, node))
         if left_out:
             sides.append(_together(left_out))
-    maxima = sum(math.exp(e - found.log_evidence[0]) for e in found.log_evidence)
-    # The variance of a less likely ridge would widen an interval of which it is no part.
-    if sum(share for share, _ in sides) < 0.01 * maxima:
-        return Proposed()
     return Proposed(tuple((found.log_evidence[0] + math.log(w), node) for w, node in sides))
 
 
@@ -89,11 +85,8 @@ def _nodes(
         highest = max(highest, evidence)
         if evidence < highest - NEGLIGIBLE:
             break
-        moved = node.mean[ORIGIN] - before[ORIGIN]
-        if not moved:
-            break
         # Each stands for all origins half way to the next.
-        along = (node.mean - before) * (way / moved)
+        along = (node.mean - before) * (way / (node.mean[ORIGIN] - before[ORIGIN]))
         covariance = node.covariance + np.outer(along, along) / 12.0
         found.append((evidence, replace(node, covariance=covariance)))
         state, before = node.maximum.state, node.mean
