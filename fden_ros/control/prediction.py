@@ -288,8 +288,7 @@ class _LawAhead:
     def _is_shown(self) -> bool:
         """Whether a hold has shown which law the relaxation has."""
         least = max(_SHOWN_TIME, _SHOWN_PART * self.tissue.estimate.mean_dwell_time)
-        is_long = self.tissue.memory.longest_hold >= least
-        return is_long or self.tissue.estimate.other_law is not None
+        return self.tissue.memory.longest_hold >= least
 
     @property
     def _relaxation_error(self) -> float:
