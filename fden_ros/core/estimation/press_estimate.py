@@ -42,8 +42,6 @@ _UNSEEN = 0.5
 #: record [1], as far as its splines go: of a spring and dashpot 373 of 848 intervals hold without
 #: this limit, and 324 of 406 with it.
 _BEYOND = 1.05
-#: By so much less of ln Gn a law is linear ten times as deep.
-_LINEAR = math.log(10.0)
 
 
 def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
@@ -137,18 +135,15 @@ def _small_motions(
     law = SmallMotion(one.solved.model, tissue, by_origin, shift=shift)
     rivals = one.rivals if one.rivals is not None else Rivals()
     other, share = rivals.likeliest, rivals.probability
-    if other is None or share < 1.0 - MISMATCH:
+    deepest = press.intake.record.max_compression + shift
+    is_deeper = other is not None and deepest > _BEYOND * other.deepest
+    is_told = share > MISMATCH
+    if other is None or share < 1.0 - MISMATCH or (is_deeper and not is_told):
         yield replace(law, weight=weight)
         return
     own = after_changes(other.component, other.model)
-    is_deeper = press.intake.record.max_compression + shift > _BEYOND * other.deepest
-    if share > MISMATCH:
+    if is_told:
         share, own = 1.0, own._replace(weight=float(not is_deeper))
-    elif is_deeper and not own.covariance[LOG_GN, LOG_GN]:
-        # What is linear over its record may be so deeper.
-        linear = own.mean.copy()
-        linear[LOG_GN] -= _LINEAR
-        own = own._replace(mean=linear)
     if share < 1.0:
         yield replace(law, weight=(1.0 - share) * weight)
     yield SmallMotion(other.model, (own,), by_origin, weight=share * weight, shift=shift)
