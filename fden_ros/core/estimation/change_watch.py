@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether the tissue changes under the probe: suspicion and looks.
+"""Whether the tissue changes under the probe: suspicion, looks, and where a change is placed.
 
-An innovation that surprises asks; a look after some blocks answers.
+An innovation that surprises asks; a look after some blocks answers. A change that was found is
+placed anew once it has been seen for a while.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from fden_ros.core.estimation.proposals.change import (
     THRESHOLD,
     ChangeLook,
     Look,
+    Placing,
 )
+from fden_ros.core.estimation.unknowns import Unknown
 
 #: A look has this much more work than a solution, since it has to tell within 0.1 s [1].
 _HASTE = 20.0
@@ -43,6 +46,13 @@ class Found(NamedTuple):
     since: list[Block]  #: the blocks after its record
 
 
+class Placed(NamedTuple):
+    """A change that was placed anew."""
+
+    before: Unknown
+    after: Unknown
+
+
 class _Looking(NamedTuple):
     """A look that has been begun."""
 
@@ -52,6 +62,13 @@ class _Looking(NamedTuple):
     since: list[Block]
 
 
+class _Placing(NamedTuple):
+    """A change that is being placed."""
+
+    change: Unknown
+    found: Advanced[Unknown]
+
+
 class ChangeWatch:
     """Watches one press for changes."""
 
@@ -59,6 +76,8 @@ class ChangeWatch:
         self._suspected_at: float | None = None
         self._looked_at = -math.inf
         self._look: _Looking | None = None
+        self._placing: _Placing | None = None
+        self._to_place: Unknown | None = None
 
     @property
     def is_asked(self) -> bool:
@@ -67,8 +86,8 @@ class ChangeWatch:
 
     @property
     def is_working(self) -> bool:
-        """Whether a look is under way."""
-        return self._look is not None
+        """Whether a look or a placing is under way."""
+        return self._look is not None or self._placing is not None
 
     def add(self, blocks: list[Block], now: float, normalized_squared: float) -> None:
         """Take blocks, whose last has an innovation of so many standard deviations squared."""
@@ -90,7 +109,7 @@ class ChangeWatch:
 
     def begin_look(self, best: Hypothesis, intake: Intake) -> bool:
         """Begin to look whether the tissue has changed; return whether that can be done."""
-        if best.solved is None:
+        if best.solved is None or self._to_place is not None:
             return False
         self._looked_at = intake.now
         origin = best.setting.origin(best.solved.best.mean)
@@ -102,15 +121,45 @@ class ChangeWatch:
         self._look = _Looking(best, Advanced(look.in_parts), float(points.times[-1]), [])
         return True
 
-    def advance(self, work: float, *, is_over: bool) -> Found | None:
+    def is_placing_due(self, now: float) -> bool:
+        """Whether the newest change has been seen for long enough to be placed anew."""
+        change = self._to_place
+        if change is None:
+            return False
+        assert change.since is not None
+        # It has been seen for this time [s].
+        return now - change.since >= 0.1
+
+    def begin_placing(self, best: Hypothesis, intake: Intake) -> None:
+        """Begin to place the newest change anew, where the likeliest hypothesis has it."""
+        change, self._to_place = self._to_place, None
+        if change is None or change not in best.events or best.solved is None:
+            return
+        rest = tuple(event for event in best.events if event is not change)
+        sizes = intake.compression_sd, best.deepest(intake.deepest)
+        made = best.setting.posterior_with(best.events, *sizes)
+        placing = Placing(
+            best.points(intake.record.points()),
+            best.solved.grown(best.solved.best, made),
+            best.solved.best,
+            partial(best.setting.posterior_with, rest, *sizes),
+            change,
+        )
+        self._placing = _Placing(change, Advanced(placing.in_parts))
+
+    def advance(self, work: float, *, is_over: bool) -> Found | Placed | None:
         """Go on by some work; return what has been found, if anything has."""
         if self._look is not None and self._look.found.advance(_HASTE * work):
             return self._end_look(is_over=is_over)
+        if self._placing is not None and self._placing.found.advance(work):
+            return self._end_placing()
         return None
 
-    def finish(self) -> Found | None:
+    def finish(self) -> Found | Placed | None:
         """Do what is left at the end of a press."""
-        return self._end_look(is_over=True) if self._look is not None else None
+        if self._look is not None:
+            return self._end_look(is_over=True)
+        return self._end_placing() if self._placing is not None else None
 
     def _end_look(self, *, is_over: bool) -> Found | None:
         """Return what a look has found; None: it is looked again."""
@@ -125,7 +174,14 @@ class ChangeWatch:
         if look.event is None and is_open and not is_over:
             return None
         self._suspected_at = None
+        if look.event is not None:
+            self._to_place = look.event if look.event.since is not None else None
         return Found(looking.hypothesis, look, looking.end, looking.since)
+
+    def _end_placing(self) -> Placed:
+        assert self._placing is not None
+        placing, self._placing = self._placing, None
+        return Placed(placing.change, placing.found.result())
 
 
 def with_event(hypotheses: Sequence[Hypothesis], found: Found) -> list[Hypothesis]:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from scipy.special import logsumexp
 
 from fden_ros.core.estimation.block import Block, Points, Sample
-from fden_ros.core.estimation.change_watch import ChangeWatch, Found, with_event
+from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
@@ -159,7 +159,10 @@ class PressPosterior:
         if self._watch.is_asked:
             self._look(now)
         elif self._begun is None and not is_past and self._is_due(now):
-            self.begin_solution()
+            if self._watch.is_placing_due(now):
+                self._watch.begin_placing(self.best, self.intake)
+            else:
+                self.begin_solution()
         self.work(now - self._worked_at)
         self._worked_at = now
         return innovation
@@ -272,9 +275,14 @@ class PressPosterior:
         if self._begun is None:
             self.begin_solution()
 
-    def _take_event(self, found: Found | None) -> None:
+    def _take_event(self, found: Found | Placed | None) -> None:
         """Take what was found of a change."""
-        if found is not None and found.look.event is not None:
+        if isinstance(found, Placed):
+            for one in self.hypotheses:
+                events = one.events
+                one.events = tuple(found.after if e is found.before else e for e in events)
+            self.begin_solution()
+        elif found is not None and found.look.event is not None:
             self._begun = None  # of tissue without the event
             self._adopt(found)
             self.begin_solution(Care.FROM_STARTS)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import EVALUATION_COST
 from fden_ros.core.estimation.maxima import follow_maxima
@@ -46,6 +47,8 @@ _CLOSER = (0.4, 0.2, 0.1, 0.05, 0.025)
 SUSPICIOUS = 3.5
 #: Least time between two looks [s], and for how long one is looked for after that innovation [s].
 LOOK_PERIOD, SUSPECTED = 0.025, 0.1
+#: A change is placed anew within this time [s].
+PLACED_WITHIN = 0.04
 #: Evaluations by which one tissue is sought [1], and how much more a change has to gain where it
 #: was not found in these [1]: without it a change was told in one beef record.
 _MOST_ALONE, _UNSURE = 25, 3.0
@@ -208,3 +211,34 @@ class ChangeLook:
             )
             return found.best
         return None
+
+
+@dataclass(frozen=True)
+class Placing:
+    """A change that is placed anew, once more has been seen of it."""
+
+    points: Points
+    state: Array  #: from which it is solved
+    solution: Solution  #: the last one
+    posterior_with: Callable[[Unknown], Posterior]  #: of the change
+    change: Unknown
+
+    def in_parts(self) -> Parts[Unknown]:
+        """Return the change at the likeliest time within PLACED_WITHIN of where it was."""
+        change, highest = self.change, (yield from self._evidence(self.change))
+        for closer in _CLOSER:
+            assert change.since is not None
+            width = closer * PLACED_WITHIN
+            for since in (change.since - width, change.since + width):
+                other = change_since(since)
+                found = yield from self._evidence(other)
+                if found > highest:
+                    change, highest = other, found
+        return change
+
+    def _evidence(self, change: Unknown) -> Parts[float]:
+        posterior = self.posterior_with(change)
+        with contextlib.suppress(*UNSOLVABLE):
+            found = posterior.tracked_in_parts(self.points, self.state, self.solution)
+            return (yield from found).log_evidence
+        return -math.inf
