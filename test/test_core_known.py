@@ -413,9 +413,10 @@ def test_the_slope_of_what_the_law_leaves_out_is_found(slope):
     found = memory.slope(age)
     assert found is not None and memory.longest_hold == pytest.approx(3.0, abs=0.02)
     law = LawAlong(GEOMETRY, np.append(logs, MODEL.fractional_order))
-    past, _ = memory.along(law, np.array([1.0]), np.array([STRAIN]))
+    motion = memory.motion(np.array([1.0]), np.array([STRAIN]))
+    past, _ = motion.stress(law)
     instants, stresses = np.array(found.points).T
-    left_out = stresses - np.interp(instants, memory.times, past)
+    left_out = stresses - np.interp(instants, motion.times[: motion.seen], past)
     assert float(found.weights @ left_out) == pytest.approx(slope, abs=5.0)
 
 

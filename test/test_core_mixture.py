@@ -645,7 +645,8 @@ def _after_hunt_and_crossley(seed: int) -> str:
     estimator = estimator_of()
     *_, last = fed(estimator, strains, stresses + random.normal(0.0, NOISE, strains.size))
     assert estimator.press is not None
-    rival = estimator.press.best.other_law
+    rivals = estimator.press.best.rivals
+    rival = rivals.likeliest if rivals is not None else None
     if not estimator.is_mismatch or rival is None:
         return ""
     # At rest, whatever the damping: the slope of the power.

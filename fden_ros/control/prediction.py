@@ -41,12 +41,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fden_ros.control.left_out import Slope
-from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.control.tissue_memory import Motion, TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
     KERNEL_SHARE,
     NOTHING_UNKNOWN,
     Along,
+    Elastic,
     Estimate,
     LawAlong,
     LoadingAhead,
@@ -95,8 +96,8 @@ class _Plan(NamedTuple):
     """A motion to come, arrays of shape (n,)."""
 
     times: Array  #: since the present [s]
-    compressions: Array  #: by then [1]
     strains: Array  #: at present and by then [1], shape (n + 1,)
+    motion: Motion  #: so far and to come
 
 
 class _Trend(NamedTuple):
@@ -153,7 +154,8 @@ class Predictor:
         moved = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
         compressions = self.memory.compression + moved / self.geometry.length
         strains = [self.geometry.strain(float(u)) for u in compressions]
-        plan = _Plan(grid, compressions, np.append(self.memory.strain, strains))
+        motion = self.memory.motion(grid, compressions)
+        plan = _Plan(grid, np.append(self.memory.strain, strains), motion)
         found = [(law.weight, *_LawAhead(self, law, plan).moments()) for law in self._laws()]
         weights, means, variances = (np.array(each) for each in zip(*found, strict=True))
         mean = weights @ means
@@ -188,8 +190,8 @@ class _Law(NamedTuple):
     """A law that the tissue may obey."""
 
     weight: float  #: its probability [1]
-    mean: Array  #: of its parameters, shape (3,)
-    covariance: Array  #: of them, shape (3, 3)
+    mean: Array  #: of its parameters, shape (n,)
+    covariance: Array  #: of them, shape (n, n)
     made: Callable[[Array], Along]  #: the law of given parameters
     #: Part of the kernel's stated deviation by which a relaxation that was shown changes [1].
     shown: float
@@ -205,12 +207,15 @@ class _LawAhead:
 
     def moments(self) -> tuple[Array, Array]:
         """Return mean [Pa] and variance [Pa^2] of the stress, shape (n,) each."""
-        planned = self._stress(self.law.mean)
+        planned = self._stress(self._at_mean)
         return planned, self._variance(planned) + self._left_out_variance(planned)
 
-    def _stress(self, parameters: Array, shift: float = 0.0) -> Array:
-        """Return the stress of the plan, (n,), by parameters; `shift`: of the present [Pa]."""
-        past, ahead = self._along(self.law.made(parameters))
+    def _stress(self, along: tuple[Array, Array], shift: float = 0.0) -> Array:
+        """Return the stress of the plan, (n,); `shift`: of the present [Pa].
+
+        `along`: a law's stress of the motion so far and to come.
+        """
+        past, ahead = along
         ahead = ahead + self.tissue.stress + shift - (past[-1] if past.size else 0.0)
         if self._trend is not None:
             slope = self._slope(self._trend.slope, past)
@@ -218,27 +223,31 @@ class _LawAhead:
         # Contact pushes and does not pull.
         return np.maximum(ahead, 0.0)
 
-    def _along(self, law: Along) -> tuple[Array, Array]:
-        return self.tissue.memory.along(law, self.plan.times, self.plan.compressions)
+    @cached_property
+    def _at_mean(self) -> tuple[Array, Array]:
+        return self.plan.motion.stress(self.law.made(self.law.mean))
+
+    @cached_property
+    def _elastic(self) -> Elastic:
+        return self.law.made(self.law.mean).elastic(self.plan.strains)
 
     def _slope(self, slope: Slope, past: Array) -> float:
         """Return dv/dlnA over the newest part of the hold [Pa]; `past`: the law's stress there."""
         instants, stresses = np.array(slope.points).T
-        left_out = stresses - np.interp(instants, self.tissue.memory.times, past)
+        left_out = stresses - np.interp(instants, self.plan.motion.times[: past.size], past)
         return float(slope.weights @ left_out)
 
     @cached_property
     def _stiffness(self) -> Array:
         """Stress by the displacement over the time of the surface's motion [Pa/m], (n + 1,)."""
-        elastic = self.law.made(self.law.mean).elastic(self.plan.strains)
-        return elastic.stiffness / self.tissue.geometry.length
+        return self._elastic.stiffness / self.tissue.geometry.length
 
     @cached_property
     def _loading(self) -> LoadingAhead:
         """How the loading changes along the plan."""
-        elastic = self.law.made(self.law.mean).elastic(self.plan.strains)
         steps = np.diff(self.plan.times, prepend=0.0)
-        return LoadingAhead.along(elastic.values, steps, self.tissue.estimate.mean_dwell_time)
+        age = self.tissue.estimate.mean_dwell_time
+        return LoadingAhead.along(self._elastic.values, steps, age)
 
     @cached_property
     def _trend(self) -> _Trend | None:
@@ -260,11 +269,9 @@ class _LawAhead:
 
     def _left_out_variance(self, stress: Array) -> Array:
         """Return the variance by which the stress left out grows until each time [Pa^2]."""
-        estimate, trend = self.tissue.estimate, self._trend
+        estimate, trend = self.tissue.estimate, self._trend if self._is_shown else None
         if estimate.mean_dwell_time <= 0.0:
             return np.zeros_like(stress)
-        if not self._is_shown:
-            trend = None
         relaxation_error = self._relaxation_error if trend is None else 0.0
         grown = self._loading.left_out(stress, estimate.model_discrepancy, relaxation_error)
         steps = np.diff(self.plan.times, prepend=0.0)
@@ -272,8 +279,7 @@ class _LawAhead:
         relaxation = (relaxation_error * stress) ** 2
         if trend is not None:
             relaxation = (self.law.shown * self.tissue.uncertainty.kernel_sd * stress) ** 2
-            past, _ = self._along(self.law.made(self.law.mean))
-            relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, past)) ** 2
+            relaxation += (_SLOPE_CHANGE * self._slope(trend.slope, self._at_mean[0])) ** 2
             relaxation += trend.kept * trend.variance
         return np.asarray(np.cumsum(grown) + self._loading.ageing**2 * relaxation)
 
@@ -305,13 +311,14 @@ class _LawAhead:
     def _variance(self, planned: Array) -> Array:
         """Return the variance of the stress by the parameters and the present stress [Pa^2]."""
         mean, noise = self.law.mean, math.sqrt(self.tissue.innovation_variance)
-        result = (self._stress(mean, noise) - planned) ** 2
+        result = (self._stress(self._at_mean, noise) - planned) ** 2
         values, axes = np.linalg.eigh(self.law.covariance)
         for value, axis in zip(values, axes.T, strict=True):
             if value > 0.0:
                 # Towards a curve that bends: where the other has no effect, that may have.
                 step = _DERIVATIVE_PART * math.sqrt(value) * math.copysign(1.0, axis[1]) * axis
-                result += ((self._stress(mean + step) - planned) / _DERIVATIVE_PART) ** 2
+                along = self.plan.motion.stress(self.law.made(mean + step))
+                result += ((self._stress(along) - planned) / _DERIVATIVE_PART) ** 2
         return result
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,21 @@ from fden_ros.core.law import Geometry, StressMoments, creep_weights
 #: Samples of a contact that are kept [1]: of more than that the older half is thinned out, so that
 #: what is long ago is coarse.
 MOST_SAMPLES = 1000
+
+
+class Motion(NamedTuple):
+    """A contact so far, and how its motion goes on; arrays of shape (n,)."""
+
+    times: Array  #: [s]
+    steps: Array  #: since the sample before [s]
+    compressions: Array  #: [1]
+    moments: Array  #: of the stress before the contact [Pa s], shape (n, RATE_COUNT)
+    seen: int  #: samples so far
+
+    def stress(self, law: Along) -> tuple[Array, Array]:
+        """Return a law's stress [Pa] at the samples so far, and while the motion goes on."""
+        stress = law.stress(self.steps, self.compressions, self.moments)
+        return stress[: self.seen], stress[self.seen :]
 
 
 class TissueMemory:
@@ -91,17 +107,11 @@ class TissueMemory:
         free = float(creep_weights(estimate.fractional_order) @ moments.values)
         return estimate.is_above_surface(strain, free)
 
-    @property
-    def times(self) -> Array:
-        """Times of the samples of the present contact [s], shape (n,)."""
-        return np.array([sample[0] for sample in self._samples])
-
-    def along(self, law: Along, times: Array, compressions: Array) -> tuple[Array, Array]:
-        """Return a law's stress [Pa] at the samples of the contact, and while the motion goes on.
+    def motion(self, times: Array, compressions: Array) -> Motion:
+        """Return the contact so far, and a motion that goes on from it.
 
         Parameters
         ----------
-        law : Along
         times : ndarray, shape (n,)
             Since the last sample [s], positive, increasing.
         compressions : ndarray, shape (n,)
@@ -109,11 +119,13 @@ class TissueMemory:
         """
         past = np.array([sample[:2] for sample in self._samples]).reshape(-1, 2)
         instants = np.append(past[:, 0], self._time + times)
-        motion = np.append(past[:, 1], compressions)
-        steps = np.diff(instants, prepend=past[0, 0] if past.size else self._time)
-        moments = self._before.after(np.maximum(instants - self._touched, 0.0))
-        stress = law.stress(steps, motion, moments)
-        return stress[: len(past)], stress[len(past) :]
+        return Motion(
+            instants,
+            np.diff(instants, prepend=past[0, 0] if past.size else self._time),
+            np.append(past[:, 1], compressions),
+            self._before.after(np.maximum(instants - self._touched, 0.0)),
+            len(past),
+        )
 
     def slope(self, age: float) -> Slope | None:
         """Return how the slope of what the law leaves out follows from the present hold.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from fden_ros.core.estimation.ahead import (
     Along,
+    Elastic,
     LawAlong,
     LoadingAhead,
     kernel_change,
@@ -73,6 +74,7 @@ __all__ = [
     "Block",
     "Budget",
     "Component",
+    "Elastic",
     "Estimate",
     "Estimator",
     "EstimatorConfig",

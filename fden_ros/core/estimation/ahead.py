@@ -104,9 +104,8 @@ class LawAlong:
 
     def elastic(self, strains: Array) -> Elastic:
         """Return the elastic response."""
-        found = elastic_responses(strains, 1.0, self._nonlinear)
         relaxed = self._linear * self.relaxation(SURFACE_TIME)
-        return Elastic(found.value, relaxed * found.by_strain)
+        return _elastic(strains, self._nonlinear, relaxed)
 
     def relaxation(self, time: float) -> float:
         """Return the relaxation."""
@@ -139,9 +138,8 @@ class PlateauAlong:
 
     def elastic(self, strains: Array) -> Elastic:
         """Return the elastic response."""
-        found = elastic_responses(strains, 1.0, self._nonlinear)
         relaxed = self._linear * self.relaxation(SURFACE_TIME)
-        return Elastic(found.value, relaxed * found.by_strain)
+        return _elastic(strains, self._nonlinear, relaxed)
 
     def relaxation(self, time: float) -> float:
         """Return the relaxation."""
@@ -175,6 +173,12 @@ class HuntCrossleyAlong:
 
     def _part(self, strains: Array) -> Array:
         return np.asarray((np.maximum(strains, 0.0) / REFERENCE_STRAIN) ** self._power)
+
+
+def _elastic(strains: Array, nonlinear_stiffness: float, relaxed: float) -> Elastic:
+    """Return that of phi; `relaxed`: slope of the stress at small strain [Pa]."""
+    found = elastic_responses(strains, 1.0, nonlinear_stiffness)
+    return Elastic(found.value, relaxed * found.by_strain)
 
 
 def other_along(geometry: Geometry, other: OtherLaw, parameters: Array) -> Along:

@@ -19,7 +19,7 @@ from fden_ros.core.estimation.mixture import Component, merged, weights_of, with
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.rivals import Rival, Rivals
+from fden_ros.core.estimation.rivals import Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
@@ -83,12 +83,6 @@ class Hypothesis:
     def is_solved(self) -> bool:
         """Whether its newest solution was found, and wants no further step."""
         return self.solved is not None and self.solved.best.is_solved and not self.misses
-
-    @property
-    def other_law(self) -> Rival | None:
-        """The likeliest other law, where the tissue has not the law; None: it has."""
-        rivals = self.rivals
-        return rivals.likeliest if rivals is not None and rivals.probability > MISMATCH else None
 
     @property
     def change_count(self) -> int:

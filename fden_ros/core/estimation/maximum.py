@@ -36,7 +36,7 @@ MOST_STEPS, _MOST_TRIES = 60, 8
 #: the summary.
 CONVERGED = 2.5e-3
 #: For so many steps [1] the variances are taken at the state; then they follow it by this part of
-#: the distance [1], so that both cannot take turns; after so many steps [1] by less and less:
+#: the distance [1], so that both cannot take turns; from 15 steps on by 15 over their count of it:
 #: where a kink lies between two states each is the better one by its own variances.
 _QUICK_STEPS, _FOLLOWING, _PATIENCE = 5, 0.5, 15
 #: Stiffness by which a touch is held at a sample, over the stiffest of what moves it [1]: beside

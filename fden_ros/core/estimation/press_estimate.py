@@ -127,8 +127,8 @@ def _small_motions(
 ) -> Iterator[SmallMotion]:
     """Yield what a hypothesis of a weight makes of a small motion; `tissue`: its components now.
 
-    Where another law may be true, that is a mixture with what the likeliest makes of it, and where
-    it is told, that alone.
+    With a probability of other laws from 0.05 to 0.95 (1 - MISMATCH to MISMATCH) that is a mixture
+    with what the likeliest makes of it, and above that alone.
     """
     assert one.solved is not None
     by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
@@ -137,12 +137,12 @@ def _small_motions(
     other, share = rivals.likeliest, rivals.probability
     deepest = press.intake.record.max_compression + shift
     is_deeper = other is not None and deepest > _BEYOND * other.deepest
-    is_told = share > MISMATCH
-    if other is None or share < 1.0 - MISMATCH or (is_deeper and not is_told):
+    is_other = share > MISMATCH
+    if other is None or share < 1.0 - MISMATCH or (is_deeper and not is_other):
         yield replace(law, weight=weight)
         return
     own = after_changes(other.component, other.model)
-    if is_told:
+    if is_other:
         share, own = 1.0, own._replace(weight=float(not is_deeper))
     if share < 1.0:
         yield replace(law, weight=(1.0 - share) * weight)
@@ -167,9 +167,9 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
 
 
 def _other_law(best: Hypothesis) -> OtherLaw | None:
-    """Return the likeliest other law as it is told; None: none was asked for."""
+    """Return the likeliest other law as messages state it; None: none was asked for."""
     likeliest = best.rivals.likeliest if best.rivals is not None else None
-    return likeliest.told if likeliest is not None else None
+    return likeliest.published if likeliest is not None else None
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:

@@ -99,7 +99,7 @@ class Record:
         A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
         compression to the power `exponent`.
         """
-        n = 5  # blocks over which a speed is told from the noise of the motion: 50 ms
+        n = 5  # blocks over which a speed is above the noise of the motion: 50 ms
         if len(self._rows) <= n:
             return False
         times = np.array([row.middle for row in self._rows])

@@ -49,7 +49,7 @@ class Rival(NamedTuple):
     model: PressModel
     component: Component  #: its posterior
     deepest: float  #: largest compression of its record [1]
-    told: OtherLaw | None = None  #: as others predict by it; None: they cannot
+    published: OtherLaw | None = None  #: as listeners predict by it; None: they cannot
 
 
 class Rivals(NamedTuple):
@@ -171,8 +171,8 @@ def rivals_of(question: Question) -> Parts[Rivals | None]:
     return None if is_open else rivals
 
 
-def told(kind: OtherLawKind, component: Component, by_odds: float = 1.0) -> OtherLaw:
-    """Return a rival as it is told, without a rate; `order` is a part whose odds count, squared.
+def published(kind: OtherLawKind, component: Component, by_odds: float = 1.0) -> OtherLaw:
+    """Return a rival as messages state it, without a rate: by the squared odds of its `order`.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def told(kind: OtherLawKind, component: Component, by_odds: float = 1.0) -> Othe
     component : Component
         Of the whole state.
     by_odds : float
-        The third number that is told, by the squared odds.
+        The third parameter that is published, by the squared odds.
     """
     mean, covariance = np.zeros(len(LAW) + 1), np.zeros((len(LAW) + 1, len(LAW) + 1))
     part = order_of(component.mean)

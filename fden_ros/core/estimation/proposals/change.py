@@ -50,7 +50,7 @@ LOOK_PERIOD, SUSPECTED = 0.025, 0.1
 #: A change is placed anew within this time [s].
 PLACED_WITHIN = 0.04
 #: Evaluations by which one tissue is sought [1], and how much more a change has to gain where it
-#: was not found in these [1]: without it a change was told in one beef record.
+#: was not found in these [1]: without it one beef record was flagged TISSUE_CHANGED.
 _MOST_ALONE, _UNSURE = 25, 3.0
 #: Gain in log evidence with which it is looked for on [1].
 PROMISING = 5.0

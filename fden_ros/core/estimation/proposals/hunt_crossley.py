@@ -29,7 +29,7 @@ from fden_ros.core.estimation.loops import Evaluation, ResponseState
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.posterior import UNSOLVABLE
 from fden_ros.core.estimation.press_model import Curve, PressModel
-from fden_ros.core.estimation.rivals import Law, Question, Rival, set_prior, told
+from fden_ros.core.estimation.rivals import Law, Question, Rival, published, set_prior
 from fden_ros.core.estimation.smooth_errors import REFERENCE_STRAIN, splines
 from fden_ros.core.estimation.solution import cost_of
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
@@ -160,7 +160,8 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     evidence = yield from law.log_evidence_of(posterior, found)
     own_rival = law.against("Hunt-Crossley", evidence, own, found)
     kind = OtherLawKind.HUNT_CROSSLEY
-    return own_rival._replace(told=told(kind, own_rival.component, 1.0 / fastest))
+    stated = published(kind, own_rival.component, 1.0 / fastest)
+    return own_rival._replace(published=stated)
 
 
 def _start(question: Question) -> Array | None:

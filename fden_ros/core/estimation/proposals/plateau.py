@@ -28,13 +28,13 @@ from fden_ros.core.estimation.maxima import NEAR_BOUNDARY, boundary_of
 from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.estimation.parts import Parts
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.rivals import PART, Law, Question, Rival, told
+from fden_ros.core.estimation.rivals import PART, Law, Question, Rival, published
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import RATES, SPACING, left_after, relaxation_weights
 
-#: Place of the logarithm of the rate in what is told, and its standard deviation where it is not
-#: found between two others, in steps of the rates [1]: it is within half a step.
+#: Place of the logarithm of the rate in what is published, and its standard deviation where it is
+#: not found between two others, in steps of the rates [1]: it is within half a step.
 _LOG_RATE, _UNKNOWN_RATE = 3, 0.3
 #: Least r that has a logarithm [1].
 _LEAST = 1e-6
@@ -74,10 +74,10 @@ class _Tried(NamedTuple):
     solution: Solution
 
     @property
-    def as_told(self) -> OtherLaw:
-        """Itself, as it is told, but for its rate."""
+    def published(self) -> OtherLaw:
+        """Itself as messages state it, but for its rate."""
         component = Component(1.0, self.solution.mean, self.solution.covariance)
-        return told(OtherLawKind.PLATEAU, component)
+        return published(OtherLawKind.PLATEAU, component)
 
 
 def rival(question: Question, law: Law) -> Parts[Rival | None]:
@@ -91,22 +91,22 @@ def rival(question: Question, law: Law) -> Parts[Rival | None]:
     total = float(logsumexp([one.log_evidence for one in found])) - math.log(len(rates))
     own = law.against("plateau", total, best.model, best.solution)
     component = _component(question.points, best.model, best.solution)
-    # A ramp does not show what is to come.
-    is_told = not question.at_once
-    return own._replace(
-        component=component, told=_told(found, best, component) if is_told else None
-    )
+    own = own._replace(component=component)
+    if question.at_once:
+        # A ramp does not show what is to come.
+        return own
+    return own._replace(published=_between(found, best, component))
 
 
-def _told(found: list[_Tried], best: _Tried, component: Component) -> OtherLaw:
-    """Return it as it is told: of the rate between those tried at which a parabola is highest.
+def _between(found: list[_Tried], best: _Tried, component: Component) -> OtherLaw:
+    """Return that of the rate at which a parabola through three log evidences is highest.
 
     `component`: that of the best.
     """
     covariance = component.covariance.copy()
     # Deeper than the record it may bend.
     covariance[LOG_GN, LOG_GN] = best.solution.covariance[LOG_GN, LOG_GN]
-    own = told(OtherLawKind.PLATEAU, component._replace(covariance=covariance))
+    own = published(OtherLawKind.PLATEAU, component._replace(covariance=covariance))
     own.mean[_LOG_RATE] = math.log(RATES[best.rate])
     beside = {one.rate - best.rate: one for one in found if abs(one.rate - best.rate) == 1}
     shift, sd, side = 0.0, _UNKNOWN_RATE, 1
@@ -114,7 +114,7 @@ def _told(found: list[_Tried], best: _Tried, component: Component) -> OtherLaw:
     if beside:
         side = max(beside, key=lambda place: beside[place].log_evidence)
         # From rate to rate G and r are nearly powers of it.
-        ends = (one.as_told.mean for one in (best, beside[side]))
+        ends = (one.published.mean for one in (best, beside[side]))
         before, after = (np.append(mean[:LOG_GN], np.log(mean[ORDER] + _LEAST)) for mean in ends)
         along[[LOG_G, ORDER]] = after - before
         along[ORDER] *= own.mean[ORDER]
