@@ -11,13 +11,19 @@ A test marked ``statistics`` shows a statistical claim at its full count of seed
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import domain_coordinator
 import property_helpers
 import pytest
 
 import fden_ros.one_thread  # noqa: F401 (as in the node: threads change last bits)
+
+if TYPE_CHECKING:
+    from rclpy.context import Context
 
 property_helpers.load_profile()
 _domain = contextlib.ExitStack()
@@ -52,3 +58,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     _domain.close()
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    """Of nodes in this process, which are gone after the test.
+
+    rclpy frees a lifecycle node's services, and one that could not be made, when it is collected:
+    until then others find it by its name.
+    """
+    import rclpy
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.try_shutdown(context=context)
+    gc.collect()

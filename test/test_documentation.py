@@ -592,14 +592,12 @@ def test_the_page_of_the_interface_has_every_message():
     assert named == {path.stem for path in MESSAGES.glob("*.msg")}
 
 
-def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node():
+def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node(context):
     import rclpy
     from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
     from fden_ros.nodes.identifier import Identifier
 
-    context = rclpy.Context()
-    rclpy.init(context=context)
     inputs = {"surface.message": "pose", "frames.base": "base"}
     overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in inputs.items()]
     node = Identifier(context=context, parameter_overrides=overrides)
@@ -642,7 +640,6 @@ def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node():
         }
     finally:
         node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def test_the_page_on_robots_has_every_argument_of_the_launch_file():

@@ -177,10 +177,8 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
 
 
 @row("transitions_in_any_order")
-def test_transitions_in_any_order_from_another_thread_hundreds_of_times():
+def test_transitions_in_any_order_from_another_thread_hundreds_of_times(context):
     """With samples coming in all the while; then the node still does what it should."""
-    context = rclpy.Context()
-    rclpy.init(context=context)
     node = Identifier(context=context)
     executor = make_executor(context)
     executor.add_node(node)
@@ -243,7 +241,6 @@ def test_transitions_in_any_order_from_another_thread_hundreds_of_times():
         node.finish()
         node.destroy_node()
         feeder.destroy_node()
-        rclpy.try_shutdown(context=context)
 
 
 @row("wrong_frame")

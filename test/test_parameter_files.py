@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
-from live_helpers import LIMIT
+from live_helpers import LIMIT, wait_for
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
@@ -25,6 +25,7 @@ from fden_ros.cli import main
 from fden_ros.nodes import identifier
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.parameters import Parameters, read_parameter_file
+from fden_ros.ros.plain_node import plain_node
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
 NO_KEY = (
@@ -42,14 +43,6 @@ def written(folder: Path, text: str | bytes | None) -> Path:
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
-
-
-@pytest.fixture
-def context() -> Iterator[Context]:
-    context = Context()
-    rclpy.init(context=context)
-    yield context
-    rclpy.shutdown(context=context)
 
 
 def live_values(path: Path, node: str, context: Context) -> dict[str, Any]:
@@ -203,6 +196,8 @@ def end_of_node(capfd: pytest.CaptureFixture[str]) -> Iterator[End]:
     signal.alarm(0)
     for kind, handler in handlers.items():
         signal.signal(kind, handler)
+    # Half-made nodes would be found by their name.
+    gc.collect()
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -293,3 +288,11 @@ def test_node_listens_to_the_types_that_the_parameters_name(values, force, displ
     with active(context=context, parameter_overrides=overrides) as node:
         types = {one.topic_name: one.msg_type for one in Node.subscriptions.fget(node)}
     assert (types["/force"], types["/displacement"]) == (force, displacement)
+
+
+def test_an_active_node_that_is_destroyed_listens_no_more(context):
+    arguments = ["--ros-args", "-r", "force:=force_of_one"]
+    with plain_node("probe") as (probe, _):
+        with active(context=context, cli_args=arguments):
+            wait_for(lambda: probe.count_subscribers("/force_of_one"), "its subscription")
+        wait_for(lambda: not probe.count_subscribers("/force_of_one"), "its end", timeout=20.0)

@@ -242,6 +242,12 @@ class Identifier(LifecycleNode):
         for publisher in self._publishers_made.values():
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
+    def destroy_node(self) -> None:
+        """Fall silent and release everything first, so that nothing is left in the middleware."""
+        with self._lock:
+            self._release()
+        super().destroy_node()
+
     # Services
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
