@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from property_helpers import first
 
-from benchmark.law_stiffness import hunt_crossley
-from benchmark.laws import ARM, MOMENTS, RIGID, run_trial
+from benchmark.law_stiffness import GEOMETRIES, hunt_crossley
+from benchmark.laws import ARM, MOMENTS, RIGID, run_stiffness, run_trial
 from fden_ros.control import Predictor, TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import Estimate, OtherLaw, OtherLawKind, other_along
@@ -130,3 +130,17 @@ def test_the_interval_holds_the_force_to_come_before_another_law_is_told_as_afte
         assert trial.mismatch.part == 1
         assert [one.moment for one in found][-2:] == list(MOMENTS[-2:])
         assert all(one.half_width < 0.05 for one in found[-2:])
+
+
+def test_the_stiffness_of_a_spring_and_dashpot_lies_in_its_interval_from_the_ramp_on():
+    found = [
+        one
+        for rig in (RIGID, ARM)
+        for geometry in list(GEOMETRIES)[1:]
+        for number in range(2)
+        for one in run_stiffness(("kelvin_voigt", geometry, rig), number)
+        if one.is_known and not one.is_flagged
+    ]
+    assert len(found) >= 10
+    # Where a filter counts that has gone on deeper than its solution's record, half are.
+    assert np.mean([one.is_inside for one in found]) >= 0.9

@@ -65,6 +65,8 @@ class Hypothesis:
         Newest solutions that were not found.
     log_weight : float
         Logarithm of its weight, beside those of the same epoch [1].
+    tissue_when_solved : tuple of Component
+        Those of `tissue_now`, without what filters have learned since the newest solution.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Hypothesis:
         self.solved: Solved | None = None
         self.rivals: Rivals | None = None  #: as they were asked for last
         self.misses, self.log_weight = 0, -math.inf
+        self.tissue_when_solved: tuple[Component, ...] = ()
         self._filters: list[PressFilter] = []
         # Log evidence of each solution, with the likelihood of what came since.
         self._logs: Array = np.empty(0)
@@ -159,6 +162,8 @@ class Hypothesis:
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
         self._set_logs(logs[is_likely] + (log_evidence - found.total))
         self._logs_when_solved = self._logs
+        whole = self._with_held(found.components)
+        self.tissue_when_solved = tuple(self._now(part) for part in whole)
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
@@ -246,7 +251,7 @@ class Hypothesis:
         return tuple(part for _, parts in self._parts() for part in parts)
 
     def _parts(self) -> list[tuple[PressFilter, list[Component]]]:
-        """Return those of each filter: where what may be 0 is, and where it is not."""
+        """Return those of each filter."""
         if self.solved is None:
             return []
         considered = self.solved.best.considered
@@ -255,11 +260,16 @@ class Hypothesis:
             if not weight:
                 continue
             covariance = one.covariance if considered is None else one.covariance + considered
-            parts = [Component(weight, one.mean, covariance)]
-            for unknown in self.solved.maybe_zero:
-                parts = [part for whole in parts for part in with_held(whole, unknown)]
-            found.append((one, [part for part in parts if part.weight]))
+            found.append((one, self._with_held([Component(weight, one.mean, covariance)])))
         return found
+
+    def _with_held(self, parts: Sequence[Component]) -> list[Component]:
+        """Return components where what may be 0 is, and where it is not."""
+        assert self.solved is not None
+        found = list(parts)
+        for unknown in self.solved.maybe_zero:
+            found = [part for whole in found for part in with_held(whole, unknown)]
+        return [part for part in found if part.weight]
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:

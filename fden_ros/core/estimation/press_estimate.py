@@ -38,9 +38,9 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: discrepancy of the law [1]: on a ramp only the curve is. Of tissue of eleven other laws 90 % of
 #: the intervals hold on a ramp with it, and 82 % without.
 _UNSEEN = 0.5
-#: N/m of a plateau, which has no filter, is known up to this compression over the largest of its
-#: record [1], as far as its splines go: of a spring and dashpot 373 of 848 intervals hold without
-#: this limit, and 324 of 406 with it.
+#: N/m of another law alone, which has no filter, is known up to this compression over the largest
+#: of its record [1], as far as its splines go: of a spring and dashpot 373 of 848 intervals hold
+#: without this limit, and 324 of 406 with it.
 _BEYOND = 1.05
 
 
@@ -132,21 +132,25 @@ def _small_motions(
     """
     assert one.solved is not None
     by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
-    law = SmallMotion(one.solved.model, tissue, by_origin, shift=shift)
+    solved = one.tissue_when_solved if press.is_deeper else ()
+    law = SmallMotion(one.solved.model, tissue, by_origin, shift=shift, solved=solved)
     rivals = one.rivals if one.rivals is not None else Rivals()
     other, share = rivals.likeliest, rivals.probability
     deepest = press.intake.record.max_compression + shift
     is_deeper = other is not None and deepest > _BEYOND * other.deepest
     is_other = share > MISMATCH
-    if other is None or share < 1.0 - MISMATCH or (is_deeper and not is_other):
+    if other is None or share < 1.0 - MISMATCH:
         yield replace(law, weight=weight)
         return
     own = after_changes(other.component, other.model)
+    motion = SmallMotion(other.model, (own,), by_origin, weight=share * weight, shift=shift)
     if is_other:
-        share, own = 1.0, own._replace(weight=float(not is_deeper))
-    if share < 1.0:
-        yield replace(law, weight=(1.0 - share) * weight)
-    yield SmallMotion(other.model, (own,), by_origin, weight=share * weight, shift=shift)
+        own = own._replace(weight=float(not is_deeper))
+        yield replace(motion, components=(own,), weight=weight)
+        return
+    yield replace(law, weight=(1.0 - share) * weight)
+    # Deeper than its record it bends as the law does.
+    yield replace(motion, beyond=(other.deepest, law))
 
 
 def _of_law(component: Component, one: Hypothesis) -> Component:

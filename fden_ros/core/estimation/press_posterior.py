@@ -109,6 +109,11 @@ class PressPosterior:
         return self._schedule.has_slowed
 
     @property
+    def is_deeper(self) -> bool:
+        """Whether the probe has gone deeper than what filters may tell since the last solution."""
+        return self._schedule.is_deeper(self.intake.record.max_compression)
+
+    @property
     def is_working(self) -> bool:
         """Whether anything is under way."""
         return self._begun is not None or self._watch.is_working

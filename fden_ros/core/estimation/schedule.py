@@ -37,6 +37,7 @@ class Schedule:
         self.blocks, self.is_over = 0, False
         self._blocks_at_starts = 0
         self._elapsed = self._compression = self._asked_at = self._asking_at = 0.0
+        self._solved_compression = 0.0
         self._shows_delay = False
         self.has_slowed = False
 
@@ -54,6 +55,10 @@ class Schedule:
             or self._has_told_delay(best)
         )
 
+    def is_deeper(self, compression: float) -> bool:
+        """Whether one is due for the depth that was reached since the last [1]."""
+        return compression > _DEPTH_RATIO * self._solved_compression
+
     def ask(self) -> None:
         """Let one be due: the filter is too far from the last."""
         self._elapsed, self._compression = 0.0, 1e-9
@@ -61,6 +66,7 @@ class Schedule:
     def ended(self, elapsed: float, compression: float, *, shows_delay: bool) -> None:
         """Take note of a solution, and whether its record shows a long delay."""
         self._elapsed, self._compression = elapsed, compression
+        self._solved_compression = compression
         self._asked_at = self._asking_at
         self._shows_delay = shows_delay
 

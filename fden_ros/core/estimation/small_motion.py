@@ -62,6 +62,11 @@ class SmallMotion:
         By which contradictions of the data widen the variances [1].
     unseen : float
         Variance of ln k for a relaxation that has not been seen [1].
+    solved : tuple of Component
+        Those of the newest solution, without what filters have learned since; empty: that counts.
+    beyond : tuple of float and SmallMotion, or None
+        The largest compression of its data [1], and what ln k changes with from there on; None:
+        it is asked for no deeper.
     """
 
     model: PressModel
@@ -71,10 +76,17 @@ class SmallMotion:
     shift: float = 0.0
     variance_factor: float = 1.0
     unseen: float = 0.0
+    solved: tuple[Component, ...] = ()
+    beyond: tuple[float, SmallMotion] | None = None
 
     def widened(self, factor: float) -> SmallMotion:
         """Return it with more variance."""
         return replace(self, variance_factor=factor * self.variance_factor)
+
+    @property
+    def when_solved(self) -> SmallMotion:
+        """Return it as the newest solution had it."""
+        return replace(self, components=self.solved) if self.solved else self
 
     def log_stiffnesses(
         self, compression: float, stress: float, time_scale: float
@@ -90,6 +102,13 @@ class SmallMotion:
         time_scale : float
             tau [s].
         """
+        if self.beyond is not None and compression + self.shift > self.beyond[0]:
+            deepest, other = self.beyond[0] - self.shift, self.beyond[1]
+            there = replace(self, beyond=None).log_stiffnesses(deepest, stress, time_scale)
+            start = other.log_stiffnesses(deepest, stress, time_scale)
+            end = other.log_stiffnesses(compression, stress, time_scale)
+            growth = float(end.weights @ (end.values - start.values) / end.weights.sum())
+            return there._replace(values=there.values + growth)
         model, geometry, bending = self.model, self.model.geometry, self.model.bending
         states = np.array([mode.mean for mode in self.components])
         moves = stress * bending - self.by_origin
@@ -117,8 +136,24 @@ def log_stiffness(
 ) -> tuple[float, float] | None:
     """Return mean and variance of ln k [ln N/m] of all modes of several posteriors; None: none.
 
+    The variance is at least that of what the newest solutions make of it, where these are stated:
+    what filters have learned since, about a curve that bends, moves the mean alone. On the ramp of
+    a spring and dashpot one took the standard deviation of ln Gn from 0.7 to 0.02 in two blocks.
+
     The parameters are those of :meth:`SmallMotion.log_stiffnesses`.
     """
+    at = compression, stress, time_scale
+    now = _moments(motions, *at)
+    solved = _moments([motion.when_solved for motion in motions], *at)
+    if now is None or solved is None:
+        return None
+    return now[0], max(now[1], solved[1])
+
+
+def _moments(
+    motions: Sequence[SmallMotion], compression: float, stress: float, time_scale: float
+) -> tuple[float, float] | None:
+    """Return mean and variance of ln k of all modes as they are; None: there is none."""
     # A mode has none at the surface of a sphere, or where the tool would push.
     with np.errstate(all="ignore"):
         found = [motion.log_stiffnesses(compression, stress, time_scale) for motion in motions]
