@@ -83,12 +83,12 @@ def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, t
 @pytest.mark.parametrize(
     ("rows", "columns", "words"),
     [
-        ("0,1,2\n0.1,off,2\n0.2,,2\n", "", "2 rows of press.csv hold no number where one is needed, "
-         "the first in line 3: 0.1, off, 2"),
+        ("0,1,2\n0.1,off,2\n0.2,,2\n0.3,1,2\n", "", "2 rows of press.csv hold no number "
+         "where one is needed, the first in line 3: 0.1, off, 2"),
         ("0,1,2\n1,1,2\nTime (s),Depth (mm),Load (N)\n0,2,1\n", "", "the rows of press.csv from "
          "line 4 on are of another table, with Time (s), Depth (mm), Load (N), and left out"),
-        (20 * "0,1,2\n" + 20 * "1,1,2\n", "", "38 rows of press.csv have the time of the row before: "
-         "give their rate as the first of --columns, such as @39"),
+        (20 * "0,1,2\n" + 20 * "1,1,2\n", "", "38 rows of press.csv have the time "
+         "of the row before: give their rate as the first of --columns, such as @39"),
         (20 * "5,1,2\n", "1,2,3", "such as @500"),
     ],
 )  # fmt: skip

@@ -27,6 +27,7 @@ from fden_ros.recording.places import place
 from fden_ros.recording.text import (
     Layout,
     clock_ns,
+    is_number,
     layout_of,
     numeral,
     stamp_of_clock,
@@ -197,7 +198,8 @@ def _without_numbers(layout: Layout, headings: Sequence[Heading]) -> str:
         if cells and not layout.holds_numbers(index):
             for quantity in _QUANTITIES:
                 if heading.names(quantity) and layout.clock_of(index) is None:
-                    return f"; {heading.text} holds {cells[0][:_SHOWN]!r}, which is no number"
+                    cell = next(cell for cell in cells if not is_number(cell))
+                    return f"; {heading.text} holds {cell[:_SHOWN]!r}, which is no number"
     return ""
 
 
@@ -356,7 +358,7 @@ class TableReader:
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
-                begin = last = stamp_ns - 1
+                begin, last = stamp_ns, stamp_ns - 1
             self._rows += 1
             self._repeated += stamp_ns == last and not is_sparse
             last = stamp_ns
