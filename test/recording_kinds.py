@@ -94,6 +94,19 @@ CLOCKS = {
     ],
     "German months": [f"4. März 2026 10:15:0{comma(str(t))}" for t, *_ in ROWS],
     "French months": [f"04-déc-2026 10:15:0{t:.1f}" for t, *_ in ROWS],
+    "days first, over midnight": [
+        *("04/03/2026 23:59:59.9", "05/03/2026 00:00:00.0"),
+        *("05/03/2026 00:00:00.1", "05/03/2026 00:00:00.2"),
+    ],
+    "days first, over a month": [
+        *("31/03/2026 23:59:59.9", "01/04/2026 00:00:00.0"),
+        *("01/04/2026 00:00:00.1", "01/04/2026 00:00:00.2"),
+    ],
+    "months first, over midnight": [
+        *("3/4/2026 23:59:59.9", "3/5/2026 0:00:00.0"),
+        *("3/5/2026 0:00:00.1", "3/5/2026 0:00:00.2"),
+    ],
+    "ms without their zeros": ["10:15:00:950", "10:15:01:50", "10:15:01:150", "10:15:01:250"],
     "halves of a day": [
         *("3/4/2026 11:59:59.9 AM", "3/4/2026 12:00:00.0 PM"),
         *("3/4/2026 12:00:00.1 PM", "3/4/2026 12:00:00.2 PM"),
@@ -112,6 +125,12 @@ def since(per_second: int, heading: str) -> str:
     rows = ((begin + round(per_second * t), f, 1e3 * d) for t, f, d in ROWS)
     text = "".join(f"{time},{f},{d}\n" for time, f, d in rows)
     return f"{heading},Load (N),Depth (mm)\n{text}"
+
+
+def stamped(seconds: str, nanoseconds: str) -> str:
+    """Return a table whose stamps stand in two columns."""
+    rows = "".join(f"1700000000,{round(1e9 * t)},{f},{1e3 * d}\n" for t, f, d in ROWS)
+    return f"{seconds},{nanoseconds},Load (N),Depth (mm)\n{rows}"
 
 
 #: What a testing machine writes before the curve, with as many rows as ROWS less one.
@@ -194,6 +213,13 @@ STATED = {
     "us since 1970, of a bag's player": since(10**6, "__time"),
     "s since 1970": "timestamp,Load (N),Depth (mm)\n"
     + "".join(f"{1.7e9 + t:.1f},{f},{1e3 * d}\n" for t, f, d in ROWS),
+    "seconds and nanoseconds": stamped("header.stamp.sec", "header.stamp.nanosec"),
+    "secs and nsecs": stamped("/ft/header/stamp/secs", "/ft/header/stamp/nsecs"),
+    # Whole numbers with marks of thousands: what is below 1000 has none
+    "thousands of whole numbers": 'Time (ms),Load (mN),Depth (nm)\n'
+    + lines('{:.0f},"{:,.0f}","{:,.0f}"', time=1e3, force=1e3, displacement=1e9),
+    "thousands of whole numbers, points": "Zeit (us);Kraft (mN);Weg (nm)\n"
+    + lines("{:,.0f};{:,.0f};{:,.0f}", time=1e6, force=1e3, displacement=1e9).replace(",", "."),
     # Headings
     "headings with line breaks": '"Time\n(s)","Load\n(N)","Depth\n(mm)"\n' + PLAIN,
     "headings with line breaks below a preamble": PREAMBLE

@@ -88,8 +88,8 @@ def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, t
          "where one is needed, the first in line 3: 0.1, off, 2"),
         ("0,1,2\n1,1,2\nTime (s),Depth (mm),Load (N)\n0,2,1\n", "", "the rows of press.csv from "
          "line 4 on are of another table, with Time (s), Depth (mm), Load (N), and left out"),
-        (20 * "0,1,2\n" + 20 * "1,1,2\n", "", "38 rows of press.csv have the time "
-         "of the row before: give their rate as the first of --columns, such as @39"),
+        (20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", "", "46 rows of press.csv have the time "
+         "of the row before: give their rate as the first of --columns, such as @20"),
         (20 * "5,1,2\n", "1,2,3", "such as @500"),
     ],
 )  # fmt: skip

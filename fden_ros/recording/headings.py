@@ -46,6 +46,7 @@ COMMANDED = {
 _GERMAN = re.compile(r"(ist|soll)(?:\w*(?:kraft|weg)|position|wert|last)")
 #: A heading with one of these is a field of a message, in SI units.
 _FIELDS = ("wrench", "pose", "position", "force", "point", "transform")
+_SECONDS = re.compile(r"(?P<of>(?:.*[./_])?)secs?")
 _MEGA = 1e6
 #: LabVIEW's measurement files call the time [s] so.
 _LABVIEW = "X_Value"
@@ -96,6 +97,18 @@ def parts_of(name: str, headings: Sequence[str]) -> tuple[list[int], list[int]]:
 def _columns_of(name: str, parts: Sequence[str], headings: Sequence[str]) -> list[int]:
     wanted = [name + part for part in parts]
     return [headings.index(one) for one in wanted] if set(wanted) <= set(headings) else []
+
+
+def nanoseconds_beside(index: int, headings: Sequence[str]) -> int | None:
+    """Return the column that holds the nanoseconds of a stamp whose seconds are at `index`.
+
+    As ``stamp.sec`` and ``stamp.nanosec``, or ``secs`` and ``nsecs`` of ROS 1.
+    """
+    match = _SECONDS.fullmatch(headings[index]) if 0 <= index < len(headings) else None
+    if match is None:
+        return None
+    names = [f"{match['of']}{word}" for word in ("nanosec", "nsecs", "nsec", "nanosecs")]
+    return next((headings.index(name) for name in names if name in headings), None)
 
 
 def is_in_tool(name: str) -> bool:

@@ -20,11 +20,13 @@ from fden_ros.recording.headings import (
     Heading,
     candidates,
     is_in_tool,
+    nanoseconds_beside,
     parts_of,
     rivals,
 )
 from fden_ros.recording.places import place
 from fden_ros.recording.text import (
+    Calendar,
     Layout,
     clock_ns,
     is_number,
@@ -253,12 +255,14 @@ class TableReader:
         self.skipped = 0
         self._first_skipped = ""
         self._repeated = self._rows = 0
-        self._span_ns = 0
+        #: Rows between the first and the last change of the time, and what lies between these.
+        self._timed = self._span_ns = 0
         self._left_out = ""
         self.layout = layout_of(self.path, columns.headings)
         self._columns = columns
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
+        self._nanoseconds = nanoseconds_beside(self._time, self.layout.headings)
         self._is_clock = self._rate is None and self.layout.is_clock(self._time)
         #: Whether the force's vector turns with the tool.
         self.is_in_tool = is_in_tool(columns.force.name)
@@ -287,7 +291,7 @@ class TableReader:
                 f"the first in {self._first_skipped}"
             )
         if self._repeated > _REPEATED * self._rows:
-            rate = 1e9 * (self._rows - 1) / self._span_ns if self._span_ns else 0.0
+            rate = 1e9 * self._timed / self._span_ns if self._span_ns else 0.0
             lines.append(
                 f"{self._repeated} rows of {self.path.name} have the time of the row before: give "
                 f"their rate as the first of --columns, such as @{rate or 500:.3g}"
@@ -328,6 +332,8 @@ class TableReader:
         words = [f"column {column.name}"]
         words += [f"({name})" for name in heading if name != column.name]
         words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        if column == self._columns.time and self._nanoseconds is not None:
+            words.append(f"and {self.layout.headings[self._nanoseconds]}")
         words += ["with its sign turned"] if column.factor and column.factor < 0 else []
         return " ".join(words)
 
@@ -340,7 +346,7 @@ class TableReader:
         self.skipped = self._repeated = self._rows = 0
         self._left_out = ""
         shift: int | None = None
-        begin = last = 0
+        begin = last = begun = 0
         is_sparse = self._is_sparse()
         stamp_of = self._stamps()
         for number, (line, cells) in enumerate(self._cells()):
@@ -358,11 +364,14 @@ class TableReader:
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
-                begin, last = stamp_ns, stamp_ns - 1
+                last = stamp_ns - 1
+            if stamp_ns == last:
+                self._repeated += not is_sparse
+            elif not begun and self._rows:
+                begin, begun, last = stamp_ns, self._rows, stamp_ns
+            else:
+                self._timed, self._span_ns, last = self._rows - begun, stamp_ns - begin, stamp_ns
             self._rows += 1
-            self._repeated += stamp_ns == last and not is_sparse
-            last = stamp_ns
-            self._span_ns = last - begin
             force, displacement, *others = values
             surface = others[0] if others and isinstance(others[0], float) else None
             yield Row(stamp_ns + shift, force, displacement, surface, turn)
@@ -476,9 +485,12 @@ class TableReader:
             return lambda number, cells: round(number * _NS / rate)
         if self._is_clock:
             last: list[int | None] = [None]
+            calendar = Calendar()
 
             def of_clock(number: int, cells: Sequence[str]) -> int:
-                last[0] = stamp = stamp_of_clock(*clock_ns(cells[index]), last[0])
+                date, time_ns = clock_ns(cells[index])
+                day = calendar.day_of(date) if date else None
+                last[0] = stamp = stamp_of_clock(day, time_ns, last[0])
                 return stamp
 
             return of_clock
@@ -496,7 +508,10 @@ class TableReader:
                 value = Decimal(numeral(cell, decimal))
             return round(value * factor)
 
-        return of_number
+        if self._nanoseconds is None:
+            return of_number
+        rest = self._nanoseconds
+        return lambda number, cells: of_number(number, cells) + int(cells[rest])
 
     def _cells(self) -> Iterator[tuple[int, list[str]]]:
         where = self._where

@@ -110,8 +110,11 @@ class Layout:
     def decimals(self) -> tuple[str, ...]:
         """Decimal mark of each column, a point or a comma."""
         columns = [[row[i] for row in self.sample if i < len(row)] for i in range(self.width)]
+        proven = [_decimal(cells) or _beside_thousands(cells) for cells in columns]
         whole = _decimal(cell for cells in columns for cell in cells)
-        return tuple(_decimal(cells) or whole or self._mark_of(cells) for cells in columns)
+        whole = whole or next(filter(None, proven), None)
+        each = zip(proven, columns, strict=True)
+        return tuple(mark or whole or self._mark_of(cells) for mark, cells in each)
 
     def _mark_of(self, cells: Sequence[str]) -> str:
         """Return the mark of numbers that all look like 1,234: a decimal, but between commas."""
@@ -335,8 +338,8 @@ def numeral(cell: str, decimal: str) -> str:
     return text.replace(",", ".")
 
 
-def clock_ns(cell: str) -> tuple[int | None, int]:
-    """Return the day (of the calendar, or None where it is not stated) and the time in it [ns].
+def clock_ns(cell: str) -> tuple[str | None, int]:
+    """Return the date as it is written (None where it is not) and the time of that day [ns].
 
     Raises
     ------
@@ -351,11 +354,18 @@ def clock_ns(cell: str) -> tuple[int | None, int]:
         hours, minutes, seconds = 0, first, Decimal(second)
     else:
         hours, minutes = first, int(second)
-        seconds = Decimal(re.sub("[,:]", ".", match["third"] or "0"))
+        seconds = _seconds(match["third"] or "0")
     if match["half"] is not None:
         hours = hours % 12 + 12 * (match["half"] in "pP")
-    day = _day(match["date"]) if match["date"] else None
-    return day, (hours * 3600 + minutes * 60) * _NS + int(seconds * _NS)
+    return match["date"], (hours * 3600 + minutes * 60) * _NS + int(seconds * _NS)
+
+
+def _seconds(text: str) -> Decimal:
+    """Return seconds; behind a colon stand ms, as a number that may lack its zeros."""
+    whole, colon, rest = text.partition(":")
+    if colon and len(rest) <= 3:
+        return Decimal(whole) + Decimal(int(rest or "0")) / 1000
+    return Decimal(re.sub("[,:]", ".", text))
 
 
 class _Months(dates.parserinfo):
@@ -380,10 +390,34 @@ class _Months(dates.parserinfo):
 
 
 @functools.lru_cache(maxsize=64)
-def _day(text: str) -> int:
-    """Return a date as its number of days since 1970; one with points begins with the day."""
-    date = dates.parse(text, _Months(), dayfirst="." in text)
+def _day(text: str, has_day_first: bool) -> int:
+    """Return a date as its number of days since 1970."""
+    date = dates.parse(text, _Months(), dayfirst=has_day_first)
     return (date - datetime(1970, 1, 1)).days
+
+
+class Calendar:
+    """The days of dates in the order of rows.
+
+    Whether the day or the month comes first is not known: what is true makes the smaller step.
+    """
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._day = 0
+
+    def day_of(self, text: str) -> int:
+        """Return the number of the day since 1970; one with points begins with the day."""
+        if text == self._text:
+            return self._day
+        orders = (True,) if "." in text else (False, True)
+        if self._text:
+            steps = [_day(text, order) - _day(self._text, order) for order in orders]
+            self._day += min(steps, key=abs)
+        else:
+            self._day = _day(text, orders[0])
+        self._text = text
+        return self._day
 
 
 def stamp_of_clock(day: int | None, time_ns: int, last: int | None) -> int:
@@ -410,6 +444,18 @@ def _decimal(cells: Iterable[str]) -> str | None:
     if votes["."] == votes[","]:
         return None
     return max(votes, key=lambda mark: votes[mark])
+
+
+def _beside_thousands(cells: Iterable[str]) -> str | None:
+    """Return the decimal mark of whole numbers, of which those above 999 look like 1.020 or 1,020.
+
+    What writes the last 0 of a decimal would write 980 as 980.000.
+    """
+    marked = [cell for cell in cells if _EITHER.fullmatch(cell)]
+    whole = any(cell.strip("+-−").isdigit() and cell.strip("+-−0") for cell in cells)
+    if not (whole and any(cell.endswith("0") for cell in marked)):
+        return None
+    return "," if "." in marked[0] else "."
 
 
 def _split(line: str, delimiter: str) -> list[str]:
