@@ -92,6 +92,21 @@ CLOCKS = {
         *("04.03.2026 23:59:59,9", "05.03.2026 00:00:00,0"),
         *("05.03.2026 00:00:00,1", "05.03.2026 00:00:00,2"),
     ],
+    "German months": [f"4. März 2026 10:15:0{comma(str(t))}" for t, *_ in ROWS],
+    "French months": [f"04-déc-2026 10:15:0{t:.1f}" for t, *_ in ROWS],
+    "days first, over midnight": [
+        *("04/03/2026 23:59:59.9", "05/03/2026 00:00:00.0"),
+        *("05/03/2026 00:00:00.1", "05/03/2026 00:00:00.2"),
+    ],
+    "days first, over a month": [
+        *("31/03/2026 23:59:59.9", "01/04/2026 00:00:00.0"),
+        *("01/04/2026 00:00:00.1", "01/04/2026 00:00:00.2"),
+    ],
+    "months first, over midnight": [
+        *("3/4/2026 23:59:59.9", "3/5/2026 0:00:00.0"),
+        *("3/5/2026 0:00:00.1", "3/5/2026 0:00:00.2"),
+    ],
+    "ms without their zeros": ["10:15:00:950", "10:15:01:50", "10:15:01:150", "10:15:01:250"],
     "halves of a day": [
         *("3/4/2026 11:59:59.9 AM", "3/4/2026 12:00:00.0 PM"),
         *("3/4/2026 12:00:00.1 PM", "3/4/2026 12:00:00.2 PM"),
@@ -104,6 +119,27 @@ def clocked(times: list[str]) -> str:
     return "".join(f"{time};{f};{1e3 * d}\n" for time, (_, f, d) in rows)
 
 
+def since(per_second: int, heading: str) -> str:
+    """Return a table of times since 1970 in a unit of which so many make a second."""
+    begin = 1_700_000_000 * per_second
+    rows = ((begin + round(per_second * t), f, 1e3 * d) for t, f, d in ROWS)
+    text = "".join(f"{time},{f},{d}\n" for time, f, d in rows)
+    return f"{heading},Load (N),Depth (mm)\n{text}"
+
+
+def stamped(seconds: str, nanoseconds: str) -> str:
+    """Return a table whose stamps stand in two columns."""
+    rows = "".join(f"1700000000,{round(1e9 * t)},{f},{1e3 * d}\n" for t, f, d in ROWS)
+    return f"{seconds},{nanoseconds},Load (N),Depth (mm)\n{rows}"
+
+
+#: What a testing machine writes before the curve, with as many rows as ROWS less one.
+RESULTS = 'Results\n,"Maximum load","Extension at maximum"\n,(N),(mm)\n1,12.3,4.5\n2,12.2,4.4\n\n'
+LABVIEW = (
+    "LabVIEW Measurement\t\nSeparator\tTab\nTime\t10:15:01.5\n***End_of_Header***\t\n\n"
+    "Samples\t4\t4\t\nTime\t10:15:01.5\t10:15:01.5\t\nDelta_X\t0.1\t0.1\t\n"
+    "***End_of_Header***\t\t\t\n"
+)
 #: Text of each kind of table that says by itself what is what.
 STATED = {
     "headings": NEWTONS + PLAIN,
@@ -167,6 +203,48 @@ STATED = {
     + "".join(f"{t},9,{f},9,{1e3 * d}\n" for t, f, d in ROWS),
     "Soll and Ist": "Zeit [s];Sollkraft [N];Istkraft [N];Sollweg [mm];Istweg [mm]\n"
     + comma("".join(f"{t};9;{f};9;{1e3 * d}\n" for t, f, d in ROWS)),
+    # Numerals
+    "exponents of Fortran": NEWTONS + lines("{:.6e},{:.6e},{:.6e}").replace("e", "D"),
+    "exponents of Fortran, commas": SEMICOLONS
+    + comma(lines("{:.6e};{:.6e};{:.6e}").replace("e", "d")),
+    # Times since 1970, whose size says their unit
+    "ns since 1970": since(10**9, "timestamp"),
+    "ms since 1970": since(1000, "Time"),
+    "us since 1970, of a bag's player": since(10**6, "__time"),
+    "s since 1970": "timestamp,Load (N),Depth (mm)\n"
+    + "".join(f"{1.7e9 + t:.1f},{f},{1e3 * d}\n" for t, f, d in ROWS),
+    "seconds and nanoseconds": stamped("header.stamp.sec", "header.stamp.nanosec"),
+    "secs and nsecs": stamped("/ft/header/stamp/secs", "/ft/header/stamp/nsecs"),
+    # Whole numbers with marks of thousands: what is below 1000 has none
+    "thousands of whole numbers": 'Time (ms),Load (mN),Depth (nm)\n'
+    + lines('{:.0f},"{:,.0f}","{:,.0f}"', time=1e3, force=1e3, displacement=1e9),
+    "thousands of whole numbers, points": "Zeit (us);Kraft (mN);Weg (nm)\n"
+    + lines("{:,.0f};{:,.0f};{:,.0f}", time=1e6, force=1e3, displacement=1e9).replace(",", "."),
+    # Headings
+    "headings with line breaks": '"Time\n(s)","Load\n(N)","Depth\n(mm)"\n' + PLAIN,
+    "headings with line breaks below a preamble": PREAMBLE
+    + 'No;"Time\n\n(s)";Load (N);"Depth\n(mm)"\n' + lines("1;{:.3f};{:.4f};{:.4f}"),
+    "blanks in headings": "Time (s)   Load (N)  Depth (mm)\n" + PLAIN.replace(",", "   "),
+    "blanks in headings, one each": " Time [s] Load [N] Depth [mm]\n" + PLAIN.replace(",", " "),
+    "headings in a comment, with blanks": "# Time (s) Load (N) Depth (mm)\n"
+    + PLAIN.replace(",", " "),
+    "headings in a comment, with commas": "# time_s,force_N,depth_mm\n" + PLAIN.replace(",", " "),
+    "words in one": "time[s],measuredForceZ[N],commandedPosZ[mm],measuredPosZ[mm]\n"
+    + "".join(f"{t},{f},9,{1e3 * d}\n" for t, f, d in ROWS),
+    "French headings": "Temps (s);Force (N);Déplacement (mm)\n" + GERMAN,
+    "units in words": "Time (seconds),Load (millinewtons),Depth (micrometers)\n"
+    + lines("{:.3f},{:.1f},{:.1f}", force=1e3, displacement=1e6),
+    # Parts of a file
+    "results of three specimens before the rows": RESULTS
+    + '"Specimen 1"\nTime,Extension,Load\n(s),(mm),(N)\n'
+    + "".join(f"{t},{1e3 * d},{f}\n" for t, f, d in ROWS),
+    "settings of numbers before the rows": "Gain,2.0\n1.5,2.5\n3.5,4.5\n" + NEWTONS + PLAIN,
+    "LabVIEW": LABVIEW + "X_Value\tLoad (N)\tPosition (mm)\tComment\n"
+    + PLAIN.replace(",", "\t"),
+    "another table below": NEWTONS + PLAIN + "\nTime (s),Depth (mm),Load (N)\n0,1,2\n1,2,3\n",
+    "a long preamble": "".join(f"Parameter {k};value\n" for k in range(500)) + SEMICOLONS + GERMAN,
+    "NUL at the end": NEWTONS + PLAIN + 900 * "\0",
+    "NUL at the end, longer than the rows": NEWTONS + PLAIN + 90_000 * "\0",
 }  # fmt: skip
 
 MICRO = "Zeit (s);Kraft (N);Weg (µm)\n" + comma(lines("{:.3f};{:.4f};{:.4f}", displacement=1e6))
@@ -207,6 +285,12 @@ TABLES: dict[str, Table] = {
         + lines("{:.3f},{:.4f},off,{:.4f}") + "9,,off,3\n,5,off,3\n",
         skipped=2,
     ),
+    "results below, with units in a row": Table(
+        NEWTONS + PLAIN + "Peak,Height\n(N),(mm)\n12,3,4\n", skipped=1
+    ),
+    "minus of a word processor": Table(
+        NEWTONS + lines("{:.1f},{:.4f},{:.4f}") + "9,−5,off\n9,−5e−3,off\n", skipped=2
+    ),
     "not a number": Table(NEWTONS + PLAIN + "9,NaN,3\n9.1,5,nan\n", skipped=2),
     # Columns that are given, below any preamble
     "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),
@@ -246,7 +330,38 @@ TABLES: dict[str, Table] = {
     "letters": asked("a,b,c,d", "has a, b, c, d"),
     "no units": asked("t,f,z", "do not say"),
     "no way": asked("time_s,force_N,temperature_K", "do not say"),
+    "no unit of the time": asked(
+        "time,force_N,depth_mm,x_K", "such as --columns 'time*FACTOR,force_N,depth_mm*0.001'"
+    ),
+    "a unit that is not known": asked(
+        "time_s,Load (sthene),depth_mm,k", "'time_s,Load (sthene)*FACTOR,depth_mm*0.001'"
+    ),
+    "MN in capitals": asked("TIME (S),LOAD (MN),DEPTH (MM),N", "which column is the force"),
+    "MN in capitals, below": asked(
+        "TIME,LOAD,DEPTH,N\nS,MN,MM,-", "which column is the force", "LOAD*FACTOR"
+    ),
+    "time in whole numbers of what": asked(
+        "timestamp,force_N,depth_mm,x_K\n1700000000,1,2,3\n1700020000,1,2,3",
+        "which column is the time",
+    ),
     # What cannot be read
+    "numbers with their units": Table(
+        "Time (s),Load (N),Depth (mm)\n0 s,1 N,2 mm\n1 s,2 N,3 mm\n",
+        refused=("Time (s) holds '0 s', which is no number",),
+    ),
+    "headings alone": Table(NEWTONS, refused=("has no rows of numbers below Time (s), Load",)),
+    "a matrix": Table(
+        "time," + ",".join(f"pose[{k}]" for k in range(16)) + ",f\n" + 2 * (17 * "1," + "1\n"),
+        "time,f,pose", refused=("pose has more than six parts", "such as pose[2]"),
+    ),
+    "seven joints": Table(
+        "time," + ",".join(f"q_{k}" for k in range(7)) + ",f\n" + 2 * (8 * "1," + "1\n"),
+        "time,f,q", refused=("q has more than six parts", "such as q_2"),
+    ),
+    "a zip": Table(b"PK\x03\x04\0\0", refused=("zip archive or a workbook: unpack it",)),
+    "gzip without its name": Table(gzip.compress(b"t,f\n"), refused=("name it .csv.gz",)),
+    "JSON": Table('{"t": [0, 1]}', refused=("it is JSON: save its columns as CSV",)),
+    "a page": Table("\ufeff<html><table>", refused=("it is a page of HTML",)),
     "commas beside commas": Table(
         "time_s,force_N,depth_mm\n0,0,5,1\n1,0,5,1,5\n", refused=("decimal commas",)
     ),
@@ -513,6 +628,13 @@ BAGS: dict[str, Bag] = {
         lambda at, m: holding(at / "folder", None), refused="holds no bag"
     ),
     "an empty MCAP": Bag(lambda at, m: holding(at / "a.mcap", ""), refused="is empty"),
+    "a MATLAB file": Bag(
+        lambda at, m: holding(at / "a.mat", "MATLAB 5.0 MAT-file, "), refused="it is a MATLAB file"
+    ),
+    "an HDF5 file": Bag(
+        lambda at, m: packed(holding(at / "a", ""), lambda _: b"\x89HDF\r\n\0", ".h5"),
+        refused="it is an HDF5 file",
+    ),
     "a text as MCAP": Bag(lambda at, m: holding(at / "a.mcap", "time,f\n"), refused="is no bag"),
 }
 
@@ -527,5 +649,18 @@ STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
     "zero": (lambda time_ns: 0, "all header stamps of /force are 0"),
     "still": (lambda time_ns: START, "all header stamps of /force are the same"),
     "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
+    "late by less than a second": (
+        lambda time_ns: time_ns - 400_000_000,
+        "/force are 0.4 s before its times of recording",
+    ),
+    "whole seconds": (
+        lambda time_ns: time_ns // 10**9 * 10**9,
+        "only 2 of the first 120 header stamps of /force differ",
+    ),
+    "tenths": (lambda time_ns: time_ns // 10**8 * 10**8, "only 12 of the first 120"),
+    "zero at first": (
+        lambda time_ns: 0 if time_ns < START + 300_000_000 else time_ns,
+        "30 of the first 120 header stamps of /force are 0",
+    ),
     "ahead": (lambda time_ns: time_ns + 3_000_000_000, "are -3 s before its times of recording"),
 }

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from functools import partial
 
+import numpy as np
 import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 
 from fden_ros.core.estimation import Advanced, Parts, search
 from fden_ros.core.estimation.press_posterior import PressPosterior
+from fden_ros.core.oscillation import palpation_frequency
 from simulation.scenario import ramp_scenario
 from simulation.simulate import simulate
 
@@ -71,3 +74,24 @@ def test_a_search_that_may_cost_nothing_claims_nothing(monkeypatch):
     monkeypatch.setattr(search, "_MOST_EVALUATIONS", 2)
     lengths, has_converged = blocks_of_solutions(monkeypatch)
     assert len(lengths) > 3 and not has_converged
+
+
+@pytest.mark.parametrize("gap", [9.0, 1e9])
+def test_a_palpation_is_found_anew_after_a_gap_which_itself_is_not_looked_at(gap, monkeypatch):
+    looks: list[int] = []
+    look = palpation_frequency.dominant_frequency
+
+    def noted(values, rate):
+        looks.append(values.size)
+        return look(values, rate)
+
+    monkeypatch.setattr(palpation_frequency, "dominant_frequency", noted)
+    finder = palpation_frequency.PalpationFrequency()
+    found = []
+    for begin, frequency in ((0.0, 1.0), (10.0 + gap, 2.0)):
+        for time in np.arange(0.0, 10.0, 0.02):
+            finder.add(begin + time, math.sin(2.0 * math.pi * frequency * time))
+        found.append(finder.value)
+    assert found == [pytest.approx(1.0, rel=0.02), pytest.approx(2.0, rel=0.02)]
+    # Twice a second, from 3 s on.
+    assert len(looks) <= 2 * 16

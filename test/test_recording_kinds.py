@@ -39,6 +39,7 @@ from fden_ros.errors import InputError
 from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
+from fden_ros.recording.cdr import serialize
 from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
@@ -78,6 +79,26 @@ def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, t
         reader = reader_of(tmp_path, table)
         assert values(reader) == [pytest.approx(row, rel=1e-6, abs=1e-12) for row in ROWS]
         assert reader.skipped == table.skipped
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "words"),
+    [
+        ("0,1,2\n0.1,off,2\n0.2,,2\n0.3,1,2\n", "", "2 rows of press.csv hold no number "
+         "where one is needed, the first in line 3: 0.1, off, 2"),
+        ("0,1,2\n1,1,2\nTime (s),Depth (mm),Load (N)\n0,2,1\n", "", "the rows of press.csv from "
+         "line 4 on are of another table, with Time (s), Depth (mm), Load (N), and left out"),
+        (20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", "", "46 rows of press.csv have the time "
+         "of the row before: give their rate as the first of --columns, such as @20"),
+        (20 * "5,1,2\n", "1,2,3", "such as @500"),
+    ],
+)  # fmt: skip
+def test_what_is_left_out_of_a_table_or_has_no_time_of_its_own_is_said(
+    rows, columns, words, tmp_path
+):
+    reader = reader_of(tmp_path, Table("Time (s),Load (N),Depth (mm)\n" + rows, columns))
+    assert list(reader.rows())
+    assert words in " ".join(reader.warnings)
 
 
 @pytest.mark.parametrize("kind", BAGS)
@@ -175,6 +196,59 @@ def test_a_topic_that_is_only_commanded_is_said_to_be(name, tmp_path):
     result = replay(bag_of("MCAP", tmp_path, messages), check({}))
     said = f"{name} is commanded by its name, not measured" in result.warnings
     assert (result.inputs["displacement"], said) == (name, name == "/target_joints")
+
+
+@pytest.mark.parametrize("names", [["probe"], ["probe", "wrist"]])
+def test_of_several_joints_it_is_said_which_one_is_taken(names, tmp_path):
+    messages = [
+        m if m.topic == "/force" else m._replace(data=serialize(renamed(decode(m), names)))
+        for m in small()
+    ]
+    bag = bag_of("MCAP", tmp_path, messages)
+    words = "/joints has the joints probe, wrist: the first is the displacement"
+    for parameters, is_said in (({}, len(names) > 1), ({"displacement.name": "probe"}, False)):
+        warnings = replay(bag, check(parameters)).warnings
+        assert any(words in warning for warning in warnings) == is_said
+
+
+def renamed(joints, names):
+    joints.name = names
+    joints.position = [joints.position[0], *([0.0] * (len(names) - 1))]
+    return joints
+
+
+@pytest.mark.parametrize("has_wrench", [True, False])
+def test_an_effort_is_no_reason_to_take_the_wrench_for_the_displacement(has_wrench, tmp_path):
+    """A wrench without a stamp is no type that is read by itself; joints may have an effort."""
+    messages = []
+    for message in small():
+        if message.topic == "/joints":
+            joints = decode(message)
+            # What only grows would be a clock.
+            joints.position = [max(joints.position[0] - 2e-3, 0.0)]
+            joints.effort = [0.0 if has_wrench else 50.0 * joints.position[0]]
+            messages.append(message._replace(data=serialize(joints)))
+        elif has_wrench:
+            wrench = decode(message).wrench
+            kind = "geometry_msgs/msg/Wrench"
+            messages.append(message._replace(type_name=kind, data=serialize(wrench)))
+    bag = bag_of("MCAP", tmp_path, messages)
+    with pytest.raises(InputError) as raised:
+        replay(bag, check({}))
+    force = ("/force", "force.z") if has_wrench else ("/joints", "effort[0]")
+    expected = zip(("--force", "--displacement"), (force, ("/joints", "position[0]")), strict=True)
+    options = raised.value.hint().options
+    assert list(options) == [
+        word
+        for name, (topic, field) in expected
+        for word in (f"{name}-topic", topic, f"{name}-field", field)
+    ]
+    chosen = dict(zip(options[::2], options[1::2], strict=True))
+    topics, fields = (
+        {stream: chosen[f"--{stream}-{part}"] for stream in ("force", "displacement")}
+        for part in ("topic", "field")
+    )
+    assert replay(bag, check({}), Selection(topics, fields)).samples == 120
 
 
 # Stamps

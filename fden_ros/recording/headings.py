@@ -9,16 +9,19 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from fden_ros.errors import InputError
 from fden_ros.recording.units import UNITS, factor_of
 
 #: Words of headings.
 WORDS = {
-    "time": {"time", "t", "stamp", "timestamp", "clock", "elapsed", "zeit", "uhrzeit", "temps"},
-    "force": {"force", "f", "fz", "load", "kraft", "last"},
+    "time": {"time", "t", "stamp", "timestamp", "clock", "elapsed", "zeit", "uhrzeit", "temps",
+             "tempo", "tiempo"},
+    "force": {"force", "f", "fz", "load", "kraft", "last", "forza", "fuerza"},
     "displacement": {
         "displacement", "depth", "position", "indentation", "penetration", "x", "y", "z", "pos",
         "press", "disp", "stroke", "extension", "compression", "deflection", "deformation",
         "travel", "distance", "crosshead", "weg", "eindringtiefe", "verformung",
+        "displ", "déplacement", "deplacement", "profondeur", "spostamento", "desplazamiento",
     },
     "stress": {"stress", "spannung"},
     "modulus": {"modulus"},
@@ -43,6 +46,10 @@ COMMANDED = {
 _GERMAN = re.compile(r"(ist|soll)(?:\w*(?:kraft|weg)|position|wert|last)")
 #: A heading with one of these is a field of a message, in SI units.
 _FIELDS = ("wrench", "pose", "position", "force", "point", "transform")
+_SECONDS = re.compile(r"(?P<of>(?:.*[./_])?)secs?")
+_MEGA = 1e6
+#: LabVIEW's measurement files call the time [s] so.
+_LABVIEW = "X_Value"
 _BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 
 #: Headings of recorders that are known by name: time, force, displacement. Of Universal Robots'
@@ -66,9 +73,20 @@ def parts_of(name: str, headings: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the columns of a vector of that name, and those of a rotation vector beside it.
 
     Both are empty where the headings have none.
+
+    Raises
+    ------
+    InputError
+        If it has more than six parts: a matrix, joints, or a pose with a quaternion.
     """
     if name in headings:
         return [], []
+    if more := [one for one in (f"{name}_6", f"{name}[6]") if one in headings]:
+        third = more[0].replace("6", "2")
+        raise InputError(
+            f"{name} has more than six parts, so it is no vector: name one of them, such as "
+            f"{third}"
+        )
     places, turns = (
         next((each for parts in kinds if (each := _columns_of(name, parts, headings))), [])
         for kinds in (_PARTS, _TURNS)
@@ -79,6 +97,18 @@ def parts_of(name: str, headings: Sequence[str]) -> tuple[list[int], list[int]]:
 def _columns_of(name: str, parts: Sequence[str], headings: Sequence[str]) -> list[int]:
     wanted = [name + part for part in parts]
     return [headings.index(one) for one in wanted] if set(wanted) <= set(headings) else []
+
+
+def nanoseconds_beside(index: int, headings: Sequence[str]) -> int | None:
+    """Return the column that holds the nanoseconds of a stamp whose seconds are at `index`.
+
+    As ``stamp.sec`` and ``stamp.nanosec``, or ``secs`` and ``nsecs`` of ROS 1.
+    """
+    match = _SECONDS.fullmatch(headings[index]) if 0 <= index < len(headings) else None
+    if match is None:
+        return None
+    names = [f"{match['of']}{word}" for word in ("nanosec", "nsecs", "nsec", "nanosecs")]
+    return next((headings.index(name) for name in names if name in headings), None)
 
 
 def is_in_tool(name: str) -> bool:
@@ -103,12 +133,14 @@ class Heading:
     @property
     def words(self) -> list[str]:
         """Its words in small letters, without what stands in brackets."""
-        text = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", _BRACKETED.sub(" ", self.text))
+        text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETED.sub(" ", self.text))
         return [word for word in re.split(r"[\W_]+", text.lower()) if word]
 
     def names(self, quantity: str) -> bool:
         """Return whether its words name a quantity."""
         words = self.words
+        if self.text == _LABVIEW:
+            return quantity == "time"
         if not words or set(words) & _DERIVED - {words[-1]} or words[-1] in _DERIVED - {"min"}:
             return False
         found = self._found(quantity)
@@ -127,7 +159,23 @@ class Heading:
         return set(self.words) & WORDS[quantity]
 
     def factor(self, quantity: str) -> float | None:
-        """Return the factor to SI of the unit that it states, or None if it states none."""
+        """Return the factor to SI of its unit, stated or by a convention, or None."""
+        factor = self.stated(quantity)
+        if factor is not None or self.unit or not self._is_of_a_message(quantity):
+            return factor
+        # `rostopic echo -p` writes %time in ns.
+        return 1e-9 if quantity == "time" and self.text.startswith("%") else 1.0
+
+    def stated(self, quantity: str) -> float | None:
+        """Return the factor to SI of the unit that it states, or None if it states none.
+
+        In capitals alone MN may be mN too, and states none.
+        """
+        factor = self._of_its_words(quantity)
+        is_shouted = quantity == "force" and (self.text + self.unit).isupper()
+        return None if is_shouted and factor == _MEGA else factor
+
+    def _of_its_words(self, quantity: str) -> float | None:
         if self.unit:
             return factor_of(quantity, self.unit)
         brackets = _BRACKETED.findall(self.text)
@@ -140,12 +188,7 @@ class Heading:
             parts.remove("in")
         named = [factor_of(quantity, part) for part in parts[1:] if part.lower() not in _LETTERS]
         factors = [factor for factor in named if factor is not None]
-        if len(factors) == 1:
-            return factors[0]
-        if factors or not self._is_of_a_message(quantity):
-            return None
-        # `rostopic echo -p` writes %time in ns.
-        return 1e-9 if quantity == "time" and self.text.startswith("%") else 1.0
+        return factors[0] if len(factors) == 1 else None
 
     @property
     def has_unit(self) -> bool:
@@ -159,6 +202,8 @@ class Heading:
 
     def _is_of_a_message(self, quantity: str) -> bool:
         path = re.split(r"[/.]", self.text.lower())
+        if quantity == "time" and self.text == _LABVIEW:
+            return True
         if quantity == "time":
             return self.text.lstrip("%_") in ("time", "timestamp") and self.text[0] in "%_"
         return len(path) > 2 and any(part.startswith(_FIELDS) for part in path)
@@ -177,20 +222,22 @@ def candidates(
     headings: Sequence[Heading],
     quantity: str,
     is_usable: Callable[[int], bool] = lambda index: True,
-    is_clock: Callable[[int], bool] = lambda index: False,
+    clock_of: Callable[[int], float | None] = lambda index: None,
     unit: str = "",
 ) -> list[tuple[int, float]]:
     """Return the columns that can be a quantity, and their factors to SI, the best of them.
 
-    Measured is better than what does not say, and that better than commanded. A time of day needs
-    no unit.
+    Measured is better than what does not say, and that better than commanded. A time of day, or
+    since 1970, needs no unit.
 
     Parameters
     ----------
     headings : sequence of Heading
     quantity : str
-    is_usable, is_clock : callable
-        Whether the column at an index holds numbers, or times of day.
+    is_usable : callable
+        Whether the column at an index holds numbers.
+    clock_of : callable
+        Factor to s of the column at an index, where it holds times of day or since 1970.
     unit : str
         Quantity whose unit it has, where that is not its own.
     """
@@ -199,8 +246,9 @@ def candidates(
         if not heading.names(quantity):
             continue
         factor = heading.factor(unit or quantity)
-        if quantity == "time" and is_clock(index):
-            found.append((index, 1.0))
+        clock = clock_of(index) if quantity == "time" else None
+        if clock is not None:
+            found.append((index, heading.stated(quantity) or clock))
         elif factor is not None and is_usable(index):
             found.append((index, factor))
     best = max((headings[index].rank for index, _ in found), default=0)

@@ -27,6 +27,7 @@ from mcap.well_known import MessageEncoding
 
 from fden_ros.errors import InputError
 from fden_ros.recording.definitions import decoder, full_type_name
+from fden_ros.recording.foreign import reason_of
 from fden_ros.recording.mcap_file import (
     MAGIC,
     ChunkError,
@@ -331,7 +332,7 @@ class BagReader:
             return self._read_mcap(path)
         if any(magic.startswith(head) for magic in (MAGIC, _SQLITE3, _ROS1)):
             raise _cut_short(path)
-        raise InputError(f"{path} is no bag: {_EXPECTED}")
+        raise InputError(f"{path} is no bag: {reason_of(head) or _EXPECTED}")
 
     def _read_mcap(self, path: Path) -> McapFile:
         file = read_mcap(path)

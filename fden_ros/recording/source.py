@@ -22,7 +22,7 @@ from fden_ros.recording.definitions import decoder
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.machine import machine_values
 from fden_ros.recording.places import called, copied, is_remote, place, reached
-from fden_ros.recording.reader import BagReader, RawMessage, Topic
+from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
 from fden_ros.recording.stamps import (
     LOOKED_AT,
     carried_stamp,
@@ -43,6 +43,7 @@ from fden_ros.ros.inputs import (
     DAMAGED,
     TRANSFORM_TOPICS,
     TRANSFORMS,
+    TYPE_NAMES,
     Inputs,
     NumberOrVector,
     measured_inputs,
@@ -50,6 +51,7 @@ from fden_ros.ros.inputs import (
 )
 
 _ALWAYS = ("force", "displacement")
+_JOINTS = TYPE_NAMES["force"]["joint_state"]
 
 #: Line of a parameter file that says what in a recording is force and displacement, as options.
 SELECTION_LINE = "# Recording: "
@@ -172,16 +174,45 @@ class BagSource:
 
     def _hint(self, wanted: Collection[str]) -> Callable[[], Hint]:
         """Return what lists the numbers of the bag, for what of force and displacement is open."""
-        known = {stream: topic.name for stream, topic in self.topics.items()}
+        known = {
+            stream: topic.name
+            for stream, topic in self.topics.items()
+            if not self._is_guessed(stream, topic)
+        }
         unclear = [stream for stream in wanted if stream in _ALWAYS and stream not in known]
         for stream in tuple(unclear):
             self._fields[stream] = self._selection.fields.get(stream)
             try:
-                known[stream] = self._find(stream, self._selection.topics.get(stream)).name
-                unclear.remove(stream)
+                found = self._find(stream, self._selection.topics.get(stream))
+                if not self._is_guessed(stream, found):
+                    known[stream] = found.name
+                    unclear.remove(stream)
             except InputError:
                 pass
         return hint_of(self.reader, unclear, {**self._selection.topics, **known})
+
+    def _is_guessed(self, stream: str, topic: Topic) -> bool:
+        """Return whether nothing but its type speaks for a force: joints may have no effort."""
+        is_named = stream in self._selection.topics
+        return stream == "force" and topic.type_name == _JOINTS and not is_named
+
+    def _note_joints(self) -> None:
+        """Say which of several joints is taken where none is named."""
+        for stream in _ALWAYS:
+            topic = self.topics.get(stream)
+            is_open = topic is not None and self._fields[stream] is None
+            if topic is None or not is_open or getattr(self.parameters, stream).name:
+                continue
+            if topic.type_name == _JOINTS:
+                first = next(self.reader.messages([topic.name]), None)
+                names: list[str] = []
+                with contextlib.suppress(Exception):  # counted as damaged where it is used
+                    names = list(decode(first).name) if first is not None else []
+                if len(names) > 1:
+                    self.note(
+                        f"{topic.name} has the joints {', '.join(names)}: the first is the "
+                        f"{stream}; name another by {stream}.name, as `fden configure` does"
+                    )
 
     @property
     def force(self) -> Topic:
@@ -230,6 +261,7 @@ class BagSource:
         in.
         """
         self._inputs = Inputs(self.parameters, sink)
+        self._note_joints()
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(stream, topic))

@@ -9,17 +9,19 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from fden_ros.recording.reader import RawMessage
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 #: Messages at the beginning of a topic whose stamps are looked at.
 LOOKED_AT = 200
-#: Two topics of one clock are recorded with delays that differ by less than this [s].
-_SAME_CLOCK = 1.0
+#: Two topics of one clock are recorded with least delays that differ by less than this [s]: a
+#: message waits for no longer. Of 0.4 s between force and displacement a third of N/m is left.
+_SAME_CLOCK = 0.1
 #: Fewer equal stamps may be chance.
 _STANDSTILL = 10
+#: Where fewer stamps are different, by this part, the clock is too coarse; a half is a driver that
+#: sends each value twice.
+_DIFFERENT = 0.4
 _REMEDY = (
     "take the times of recording with --stamps recording, live with synchronize.stamp_source: "
     "receive"
@@ -95,12 +97,23 @@ def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
     delays: dict[str, float] = {}
     for topic, pairs in stamps.items():
         headers, times = {header for header, _ in pairs}, {time for _, time in pairs}
+        stamped = [pair for pair in pairs if pair[0]]
         if headers == {0}:
             lines.append(f"all header stamps of {topic} are 0, which is none: {_REMEDY}")
         elif len(headers) == 1 and len(times) >= _STANDSTILL:
             lines.append(f"all header stamps of {topic} are the same: {_REMEDY}")
-        elif pairs:
-            delays[topic] = 1e-9 * float(np.median([time - header for header, time in pairs]))
+        elif len(times) >= _STANDSTILL and len(headers) <= _DIFFERENT * len(times):
+            lines.append(
+                f"only {len(headers)} of the first {len(times)} header stamps of {topic} differ: "
+                f"{_REMEDY}"
+            )
+        elif len(stamped) < len(pairs):
+            lines.append(
+                f"{len(pairs) - len(stamped)} of the first {len(pairs)} header stamps of {topic} "
+                f"are 0, which is none: {_REMEDY}"
+            )
+        if stamped and len(headers) > 1:
+            delays[topic] = 1e-9 * min(time - header for header, time in stamped)
     for topic, delay in delays.items():
         first, least = min(delays.items(), key=lambda item: abs(item[1]))
         if abs(delay - least) > _SAME_CLOCK:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -20,15 +20,29 @@ from fden_ros.recording.headings import (
     Heading,
     candidates,
     is_in_tool,
+    nanoseconds_beside,
     parts_of,
     rivals,
 )
 from fden_ros.recording.places import place
-from fden_ros.recording.text import Layout, clock_ns, layout_of, numeral, stamp_of_clock
+from fden_ros.recording.text import (
+    Calendar,
+    Layout,
+    clock_ns,
+    is_number,
+    layout_of,
+    numeral,
+    stamp_of_clock,
+    states_units,
+)
 
 _NS = Decimal(1_000_000_000)
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 _QUANTITIES = ("time", "force", "displacement")
+#: Letters of a cell or a row that a message shows.
+_SHOWN = 60
+#: More rows than this part have the time of the row before where a clock is too coarse.
+_REPEATED = 0.2
 
 
 class Row(NamedTuple):
@@ -130,7 +144,7 @@ def stated_columns(path: str | Path) -> Columns:
         if all(name in names or parts_of(name, names)[0] for name in _bare(columns)):
             return Columns.parse(",".join(columns))
     found = {
-        quantity: candidates(headings, quantity, layout.holds_numbers, layout.is_clock)
+        quantity: candidates(headings, quantity, layout.holds_numbers, layout.clock_of)
         for quantity in _QUANTITIES
     }
     for quantity, fitting in found.items():
@@ -139,12 +153,14 @@ def stated_columns(path: str | Path) -> Columns:
         fitting[:0] = [(index, fitting[0][1]) for index in better]
     several = [quantity for quantity, fitting in found.items() if len(fitting) > 1]
     missing = [quantity for quantity, fitting in found.items() if not fitting]
+    if not layout.sample:
+        raise InputError(f"{path} has no rows of numbers below {', '.join(names)}")
     if missing:
         raise InputError(
             f"{path} is a table whose headings do not say, with a unit, which column is the "
             f"{' and the '.join(missing)}: give the columns of time, force and displacement, "
-            "such as --columns time_s,force_N,depth_mm*1e-3. "
-            f"It has {', '.join(names) or 'no headings'}"
+            f"such as --columns {_example(layout, headings, found)}. "
+            f"It has {', '.join(names) or 'no headings'}{_without_numbers(layout, headings)}"
         )
     chosen = Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
     if several:
@@ -157,6 +173,36 @@ def stated_columns(path: str | Path) -> Columns:
             f"--columns '{chosen}'"
         )
     return chosen
+
+
+def _example(
+    layout: Layout, headings: Sequence[Heading], found: Mapping[str, list[tuple[int, float]]]
+) -> str:
+    """Return columns as they could be given: those found, and what their words speak for."""
+    chosen = {
+        quantity: _column(headings, *fitting[0]) for quantity, fitting in found.items() if fitting
+    }
+    for quantity in set(found) - set(chosen):
+        named = (i for i, heading in enumerate(headings) if heading.names(quantity))
+        index = next(filter(layout.holds_numbers, named), None)
+        if index is not None:
+            chosen[quantity] = Column(f"{_name(headings, index)}*FACTOR")
+    if not chosen:
+        return "time_s,force_N,depth_mm*1e-3"
+    made = ",".join(str(chosen.get(quantity, quantity.upper())) for quantity in found)
+    return f"'{made}'" + (", with each FACTOR to s, N and m" if "*FACTOR" in made else "")
+
+
+def _without_numbers(layout: Layout, headings: Sequence[Heading]) -> str:
+    """Return that a column is named with its unit, but holds no numbers, with one of its cells."""
+    for index, heading in enumerate(headings):
+        cells = layout.cells(index)
+        if cells and not layout.holds_numbers(index):
+            for quantity in _QUANTITIES:
+                if heading.names(quantity) and layout.clock_of(index) is None:
+                    cell = next(cell for cell in cells if not is_number(cell))
+                    return f"; {heading.text} holds {cell[:_SHOWN]!r}, which is no number"
+    return ""
 
 
 def _bare(columns: Sequence[str]) -> list[str]:
@@ -207,10 +253,16 @@ class TableReader:
     ) -> None:
         self.path = place(path)
         self.skipped = 0
+        self._first_skipped = ""
+        self._repeated = self._rows = 0
+        #: Rows between the first and the last change of the time, and what lies between these.
+        self._timed = self._span_ns = 0
+        self._left_out = ""
         self.layout = layout_of(self.path, columns.headings)
         self._columns = columns
         self._rate = self._rate_of(columns.time)
         self._time = self._index(columns.time.name) if self._rate is None else -1
+        self._nanoseconds = nanoseconds_beside(self._time, self.layout.headings)
         self._is_clock = self._rate is None and self.layout.is_clock(self._time)
         #: Whether the force's vector turns with the tool.
         self.is_in_tool = is_in_tool(columns.force.name)
@@ -235,8 +287,17 @@ class TableReader:
         ]
         if self.skipped:
             lines.append(
-                f"{self.skipped} rows of {self.path.name} hold no number where one is needed"
+                f"{self.skipped} rows of {self.path.name} hold no number where one is needed, "
+                f"the first in {self._first_skipped}"
             )
+        if self._repeated > _REPEATED * self._rows:
+            rate = 1e9 * self._timed / self._span_ns if self._span_ns else 0.0
+            lines.append(
+                f"{self._repeated} rows of {self.path.name} have the time of the row before: give "
+                f"their rate as the first of --columns, such as @{rate or 500:.3g}"
+            )
+        if self._left_out:
+            lines.append(self._left_out)
         return tuple(lines)
 
     @property
@@ -271,6 +332,8 @@ class TableReader:
         words = [f"column {column.name}"]
         words += [f"({name})" for name in heading if name != column.name]
         words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        if column == self._columns.time and self._nanoseconds is not None:
+            words.append(f"and {self.layout.headings[self._nanoseconds]}")
         words += ["with its sign turned"] if column.factor and column.factor < 0 else []
         return " ".join(words)
 
@@ -280,27 +343,60 @@ class TableReader:
         Where most rows have one of the quantities alone, as where each topic has rows of its own,
         those are yielded; else a row needs them all.
         """
-        self.skipped = 0
+        self.skipped = self._repeated = self._rows = 0
+        self._left_out = ""
         shift: int | None = None
+        begin = last = begun = 0
         is_sparse = self._is_sparse()
         stamp_of = self._stamps()
-        for number, cells in enumerate(self._cells()):
+        for number, (line, cells) in enumerate(self._cells()):
             try:
                 stamp_ns = stamp_of(number, cells)
                 values = [number_of(cells) for number_of in self._numbers]
             except (ValueError, ArithmeticError, IndexError):
-                self.skipped += 1
+                if self._ends_at(line, cells):
+                    return
                 continue
             if None in values and not (is_sparse and any(v is not None for v in values)):
-                self.skipped += 1
+                self._skip(line, cells)
                 continue
             turn = self._turn(cells) if self._turn is not None else None
             if shift is None:
                 # 0 stands for "no stamp" everywhere in ROS.
                 shift = 0 if stamp_ns > 0 else 1_000_000_000 - stamp_ns
+                last = stamp_ns - 1
+            if stamp_ns == last:
+                self._repeated += not is_sparse
+            elif not begun and self._rows:
+                begin, begun, last = stamp_ns, self._rows, stamp_ns
+            else:
+                self._timed, self._span_ns, last = self._rows - begun, stamp_ns - begin, stamp_ns
+            self._rows += 1
             force, displacement, *others = values
             surface = others[0] if others and isinstance(others[0], float) else None
             yield Row(stamp_ns + shift, force, displacement, surface, turn)
+
+    def _skip(self, line: int, cells: Sequence[str]) -> None:
+        if not self.skipped:
+            self._first_skipped = f"line {line}: {', '.join(cells)[:_SHOWN]}"
+        self.skipped += 1
+
+    def _ends_at(self, line: int, cells: Sequence[str]) -> bool:
+        """Return whether a row without numbers has the headings of another table; else skip it.
+
+        The same headings again begin another test, in the same columns.
+        """
+        stripped = tuple(cell.strip() for cell in cells)
+        if stripped in (self.layout.headings, self.layout.units):
+            return False
+        if states_units(stripped):
+            self._left_out = (
+                f"the rows of {self.path.name} from line {line} on are of another table, with "
+                f"{', '.join(filter(None, stripped))[:_SHOWN]}, and left out"
+            )
+            return True
+        self._skip(line, cells)
+        return False
 
     def _is_sparse(self) -> bool:
         """Return whether more of the first rows hold one quantity than hold all."""
@@ -376,6 +472,9 @@ class TableReader:
             return 1.0
         # With geometry.kind pass_through the columns are stress and strain.
         kinds = (quantity, {"force": "stress", "displacement": "strain"}.get(quantity, quantity))
+        epoch = self.layout.epoch_of(index) if quantity == "time" else None
+        if epoch is not None and headings[index].stated("time") is None:
+            return epoch
         stated = (headings[index].factor(kind) for kind in kinds)
         return next((factor for factor in stated if factor is not None), 1.0)
 
@@ -386,9 +485,12 @@ class TableReader:
             return lambda number, cells: round(number * _NS / rate)
         if self._is_clock:
             last: list[int | None] = [None]
+            calendar = Calendar()
 
             def of_clock(number: int, cells: Sequence[str]) -> int:
-                last[0] = stamp = stamp_of_clock(*clock_ns(cells[index]), last[0])
+                date, time_ns = clock_ns(cells[index])
+                day = calendar.day_of(date) if date else None
+                last[0] = stamp = stamp_of_clock(day, time_ns, last[0])
                 return stamp
 
             return of_clock
@@ -406,13 +508,16 @@ class TableReader:
                 value = Decimal(numeral(cell, decimal))
             return round(value * factor)
 
-        return of_number
+        if self._nanoseconds is None:
+            return of_number
+        rest = self._nanoseconds
+        return lambda number, cells: of_number(number, cells) + int(cells[rest])
 
-    def _cells(self) -> Iterator[list[str]]:
+    def _cells(self) -> Iterator[tuple[int, list[str]]]:
         where = self._where
-        for _, cells in self.layout.rows():
+        for line, cells in self.layout.rows():
             if where is None or (where[0] < len(cells) and cells[where[0]].strip() == where[1]):
-                yield cells
+                yield line, cells
 
     def _rate_of(self, time: Column) -> Decimal | None:
         if not time.name.startswith("@"):

@@ -10,6 +10,7 @@ import csv
 import functools
 import gzip
 import io
+import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +24,7 @@ from typing import BinaryIO
 from dateutil import parser as dates
 
 from fden_ros.errors import InputError
+from fden_ros.recording.foreign import reason_of
 from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
 from fden_ros.recording.units import is_unit
 
@@ -33,24 +35,37 @@ BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 _DELIMITERS = ";\t,| "
 #: Lines by which the layout is decided: a preamble, and enough rows to outvote it.
 _HEAD_LINES = 400
+#: As many are looked at where the first hold no rows.
+_MOST_LINES = 20_000
 _HEAD_BYTES = 65536
 #: Cells that hold no value and say so.
 _NOTHING = frozenset(("", "nan", "na", "n/a", "#n/a", "-", "--", "---", "null", "none"))
 
-_SPACES = str.maketrans("", "", " '’\u00a0\u202f_")
+#: What lines hold that are empty; NUL where a recording ended early.
+_BLANK = " \t\r\n\v\f\0"
+#: Fortran writes 1.0D+03, a word processor a minus of its own.
+_SPELLING = str.maketrans("dD−", "eE-", " '’\u00a0\u202f_")
 _GROUP = "[ '’\u00a0\u202f.,]"
 _NUMBER = re.compile(
-    rf"[-+]?(?=[.,]?\d)(?:\d{{1,3}}(?:{_GROUP}\d{{3}})+|\d*)(?:[.,]\d*)?(?:[eE][-+]?\d+)?"
+    rf"[-−+]? ?(?=[.,]?\d)(?:\d{{1,3}}(?:{_GROUP}\d{{3}})+|\d*)(?:[.,]\d*)?(?:[eEdD][-−+]?\d+)?"
 )
 #: One mark with three digits behind it, as in 1,234: a decimal or one of thousands.
-_EITHER = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
+_EITHER = re.compile(r"[-−+]?[1-9]\d{0,2}[.,]\d{3}")
 _CLOCK = re.compile(
     r"(?:(?P<date>[^\s:T]+|\S.*?\d{4})(?:T|\s+))?"
     r"(?P<first>\d{1,2}):(?P<second>\d{2}(?P<part>[.,]\d+)?)"
     r"(?::(?P<third>\d{2}(?:[.,:]\d*)?))?\s*(?P<half>[aApP])?\.?(?:[mM]\.?)?"
     r"(?:Z|[-+]\d{2}:?\d{2})?"
 )
+#: A cell that begins with a quotation mark and goes on in the next line, as a heading may twice.
+_OPEN = re.compile(r'^(?:[^"]|"[^"]*")*(?:^|[;,\t|])\s*"[^"]*$')
+_MOST_BREAKS = 3
+_BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
+_PARTS = re.compile(r"[\s_/,]+")
 _NS = 1_000_000_000
+#: From 2001 to 2096, in s since 1970.
+_EPOCH = (1e9, 4e9)
+_SLOWEST = 10.0
 _DAY_NS = 86_400 * _NS
 
 
@@ -95,8 +110,11 @@ class Layout:
     def decimals(self) -> tuple[str, ...]:
         """Decimal mark of each column, a point or a comma."""
         columns = [[row[i] for row in self.sample if i < len(row)] for i in range(self.width)]
+        proven = [_decimal(cells) or _beside_thousands(cells) for cells in columns]
         whole = _decimal(cell for cells in columns for cell in cells)
-        return tuple(_decimal(cells) or whole or self._mark_of(cells) for cells in columns)
+        whole = whole or next(filter(None, proven), None)
+        each = zip(proven, columns, strict=True)
+        return tuple(mark or whole or self._mark_of(cells) for mark, cells in each)
 
     def _mark_of(self, cells: Sequence[str]) -> str:
         """Return the mark of numbers that all look like 1,234: a decimal, but between commas."""
@@ -112,6 +130,29 @@ class Layout:
         """Return whether most cells of a column are times of day, or dates with them."""
         cells = self.cells(index)
         return sum(_CLOCK.fullmatch(cell) is not None for cell in cells) > 0.5 * len(cells)
+
+    def clock_of(self, index: int) -> float | None:
+        """Return the factor to s of a column of times of day, or of times since 1970, or None."""
+        return 1.0 if self.is_clock(index) else self.epoch_of(index)
+
+    def epoch_of(self, index: int) -> float | None:
+        """Return the factor to s of a column of times since 1970, or None where it holds others.
+
+        They lie in the years of :data:`_EPOCH`, rows less than :data:`_SLOWEST` apart. Whole
+        numbers of that size could count ns as well, so seconds have decimals.
+        """
+        cells = [numeral(cell, self.decimals[index]) for cell in self.cells(index)]
+        if len(cells) < 2 or not all(map(is_number, cells)):
+            return None
+        numbers = [float(cell) for cell in cells]
+        steps = sorted(abs(b - a) for a, b in itertools.pairwise(numbers))
+        step = steps[len(steps) // 2]
+        for factor in (1.0, 1e-3, 1e-6, 1e-9):
+            if _EPOCH[0] <= factor * min(numbers) <= factor * max(numbers) < _EPOCH[1]:
+                is_whole = all(number.is_integer() for number in numbers)
+                is_second = factor == 1.0
+                return None if factor * step > _SLOWEST or (is_second and is_whole) else factor
+        return None
 
     def holds_numbers(self, index: int) -> bool:
         """Return whether most cells of a column are numbers."""
@@ -160,18 +201,24 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
     """
     path = place(path)
     encoding = _encoding(path)
-    head = list(islice(lines_of(path, encoding, comments=True), _HEAD_LINES))
-    lines = [(number, line) for number, line in head if not is_comment(line)]
-    if not lines:
-        raise InputError(f"{path} is empty: expected a table of comma-separated values")
-    delimiter = delimiter_of([line for _, line in lines])
-    table = [_split(line, delimiter) for _, line in lines]
+    for most in (_HEAD_LINES, _MOST_LINES):
+        head = _joined(islice(lines_of(path, encoding, comments=True), most))
+        lines = [(number, line) for number, line in head if not is_comment(line)]
+        if not lines:
+            raise InputError(f"{path} is empty: expected a table of comma-separated values")
+        delimiter = delimiter_of([line for _, line in lines])
+        table = [_split(line, delimiter) for _, line in lines]
+        first = _first_row(table)
+        if first < len(table):
+            break
     wanted = set(names)
     named = next((i for i, row in enumerate(table) if wanted and wanted <= set(row)), None)
-    first = _first_row(table)
     heading = _heading(table, first) if named is None else named
     units = () if heading is None else _units_below(table, heading)
-    headings = () if heading is None else tuple(table[heading])
+    headings: tuple[str, ...] = ()
+    if heading is not None:
+        width = len(table[first]) if first < len(table) else 0
+        headings = tuple(_headings_of(lines[heading][1], delimiter, width))
     begin = first if heading is None else heading + 1 + bool(units)
     before = lines[begin - 1][0] if begin else 0
     if heading is None:
@@ -224,7 +271,7 @@ def lines_of(path: Path, encoding: str, *, comments: bool = False) -> Iterator[t
         with reached(path), _opened(path) as raw:
             file = io.TextIOWrapper(raw, encoding, errors="replace")
             for number, line in enumerate(file, start=1):
-                if line.strip() and (comments or not is_comment(line)):
+                if line.strip(_BLANK) and (comments or not is_comment(line)):
                     yield number, line.rstrip("\n")
     except (OSError, EOFError) as error:
         raise _not_opened(path, error) from None
@@ -280,9 +327,9 @@ def numeral(cell: str, decimal: str) -> str:
     decimal : str
         Decimal mark of its column.
     """
-    text = cell.strip().translate(_SPACES)
-    if text.lower() in _NOTHING:
+    if cell.strip().lower() in _NOTHING:
         return ""
+    text = cell.strip().translate(_SPELLING)
     other = "," if decimal == "." else "."
     if other in text:
         whole, mark, rest = text.partition(decimal)
@@ -291,8 +338,8 @@ def numeral(cell: str, decimal: str) -> str:
     return text.replace(",", ".")
 
 
-def clock_ns(cell: str) -> tuple[int | None, int]:
-    """Return the day (of the calendar, or None where it is not stated) and the time in it [ns].
+def clock_ns(cell: str) -> tuple[str | None, int]:
+    """Return the date as it is written (None where it is not) and the time of that day [ns].
 
     Raises
     ------
@@ -307,17 +354,70 @@ def clock_ns(cell: str) -> tuple[int | None, int]:
         hours, minutes, seconds = 0, first, Decimal(second)
     else:
         hours, minutes = first, int(second)
-        seconds = Decimal(re.sub("[,:]", ".", match["third"] or "0"))
+        seconds = _seconds(match["third"] or "0")
     if match["half"] is not None:
         hours = hours % 12 + 12 * (match["half"] in "pP")
-    day = _day(match["date"]) if match["date"] else None
-    return day, (hours * 3600 + minutes * 60) * _NS + int(seconds * _NS)
+    return match["date"], (hours * 3600 + minutes * 60) * _NS + int(seconds * _NS)
+
+
+def _seconds(text: str) -> Decimal:
+    """Return seconds; behind a colon stand ms, as a number that may lack its zeros."""
+    whole, colon, rest = text.partition(":")
+    if colon and len(rest) <= 3:
+        return Decimal(whole) + Decimal(int(rest or "0")) / 1000
+    return Decimal(re.sub("[,:]", ".", text))
+
+
+class _Months(dates.parserinfo):
+    """Names of months in English, German, French, Italian and Spanish."""
+
+    MONTHS = [  # noqa: RUF012 (as its class has it)
+        ("jan", "january", "januar", "jän", "jänner", "janv", "janvier", "gen", "gennaio",
+         "ene", "enero"),
+        ("feb", "february", "februar", "févr", "février", "febbraio", "febrero"),
+        ("mar", "march", "mär", "märz", "mrz", "mars", "marzo"),
+        ("apr", "april", "avr", "avril", "aprile", "abr", "abril"),
+        ("may", "mai", "mag", "maggio", "mayo"),
+        ("jun", "june", "juni", "juin", "giu", "giugno", "junio"),
+        ("jul", "july", "juli", "juil", "juillet", "lug", "luglio", "julio"),
+        ("aug", "august", "août", "ago", "agosto"),
+        ("sep", "sept", "september", "septembre", "set", "settembre", "septiembre"),
+        ("oct", "october", "okt", "oktober", "octobre", "ott", "ottobre", "octubre"),
+        ("nov", "november", "novembre", "noviembre"),
+        ("dec", "december", "dez", "dezember", "déc", "décembre", "dic", "dicembre",
+         "diciembre"),
+    ]  # fmt: skip
 
 
 @functools.lru_cache(maxsize=64)
-def _day(text: str) -> int:
-    """Return a date as its number of days since 1970; one with points begins with the day."""
-    return (dates.parse(text, dayfirst="." in text) - datetime(1970, 1, 1)).days
+def _day(text: str, has_day_first: bool) -> int:
+    """Return a date as its number of days since 1970."""
+    date = dates.parse(text, _Months(), dayfirst=has_day_first)
+    return (date - datetime(1970, 1, 1)).days
+
+
+class Calendar:
+    """The days of dates in the order of rows.
+
+    Whether the day or the month comes first is not known: what is true makes the smaller step.
+    """
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._day = 0
+
+    def day_of(self, text: str) -> int:
+        """Return the number of the day since 1970; one with points begins with the day."""
+        if text == self._text:
+            return self._day
+        orders = (True,) if "." in text else (False, True)
+        if self._text:
+            steps = [_day(text, order) - _day(self._text, order) for order in orders]
+            self._day += min(steps, key=abs)
+        else:
+            self._day = _day(text, orders[0])
+        self._text = text
+        return self._day
 
 
 def stamp_of_clock(day: int | None, time_ns: int, last: int | None) -> int:
@@ -346,12 +446,53 @@ def _decimal(cells: Iterable[str]) -> str | None:
     return max(votes, key=lambda mark: votes[mark])
 
 
+def _beside_thousands(cells: Iterable[str]) -> str | None:
+    """Return the decimal mark of whole numbers, of which those above 999 look like 1.020 or 1,020.
+
+    What writes the last 0 of a decimal would write 980 as 980.000.
+    """
+    marked = [cell for cell in cells if _EITHER.fullmatch(cell)]
+    whole = any(cell.strip("+-−").isdigit() and cell.strip("+-−0") for cell in cells)
+    if not (whole and any(cell.endswith("0") for cell in marked)):
+        return None
+    return "," if "." in marked[0] else "."
+
+
 def _split(line: str, delimiter: str) -> list[str]:
     try:
         # A line by itself: in a preamble a quotation mark may stand for inches.
         return [cell.strip() for cell in next(cells_of([line], delimiter), [])]
     except csv.Error:
         return [line]
+
+
+def _joined(lines: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return lines, a cell in quotation marks that goes on below in one, numbered as the last."""
+    found: list[tuple[int, str]] = []
+    begin = 0
+    for number, line in lines:
+        found.append((number, line))
+        text = " ".join(part for _, part in found[begin:])
+        if not _OPEN.search(text):
+            found[begin:] = [(number, text)]
+        elif len(found) - begin <= _MOST_BREAKS:
+            continue
+        begin = len(found)
+    return found
+
+
+def _headings_of(line: str, delimiter: str, width: int) -> list[str]:
+    """Return the headings of a line; as many as there are columns, where blanks stand between.
+
+    Headings may hold blanks themselves, "Load (N)", or stand between other marks than the rows.
+    """
+    cells = _split(line, delimiter)
+    if delimiter != " " or len(cells) == width:
+        return cells
+    text = line.strip()
+    others = (re.split(r"\s{2,}|\t", text), re.split(r"\s+(?![(\[{<])", text))
+    marked = (_split(text, mark) for mark in _DELIMITERS.strip())
+    return next((made for made in (*others, *marked) if len(made) == width), cells)
 
 
 def _values(row: Sequence[str]) -> int:
@@ -363,12 +504,41 @@ def _filled(row: Sequence[str]) -> int:
 
 
 def _first_row(table: Sequence[Sequence[str]]) -> int:
-    """Return the index of the first row with two values that another such row follows."""
+    """Return the index of the first row with two values that another such row follows.
+
+    It is one of the part that has most such rows, where results or settings stand above it.
+    """
     has_values = [_values(row) >= 2 for row in table]
-    for index, is_row in enumerate(has_values):
-        if is_row and all(has_values[index + 1 : index + 2]):
-            return index
-    return next((index for index, is_row in enumerate(has_values) if is_row), len(table))
+    seen: list[Sequence[str]] = []
+    begins = [0]
+    for index, row in enumerate(table):
+        if not has_values[index] and _begins_a_part(row) and row not in seen:
+            begins.append(index)
+            seen.append(row)
+    parts = [range(*part) for part in itertools.pairwise((*begins, len(table)))]
+    best = max(parts, key=lambda part: sum(has_values[i] for i in part))
+    rows = [index for index in best if has_values[index]]
+    following = [i for i in rows if all(has_values[i + 1 : i + 2])]
+    return next(iter(following or rows), len(table))
+
+
+def _begins_a_part(row: Sequence[str]) -> bool:
+    """Return whether a row is that of headings or units of a part of the table.
+
+    LabVIEW ends each part of its preamble with stars.
+    """
+    return row[0].startswith("***") or states_units(row)
+
+
+def states_units(row: Sequence[str]) -> bool:
+    """Return whether a row holds no values, but headings with their units, or a row of units."""
+    return not _values(row) and sum(map(_states_a_unit, row)) >= 2
+
+
+def _states_a_unit(cell: str) -> bool:
+    brackets = _BRACKETED.findall(cell)
+    said = brackets or _PARTS.split(cell)[-1:]
+    return any(is_unit(text) and not text.isdigit() for text in said)
 
 
 def _heading(table: Sequence[Sequence[str]], first: int) -> int | None:
@@ -422,7 +592,7 @@ def _commented(
     """Return the last comment before the line `end` that has a heading for each cell of `row`."""
     for number, line in reversed(head):
         if number < end and is_comment(line):
-            cells = _split(line.lstrip("# \t"), delimiter)
+            cells = _headings_of(line.lstrip("# \t"), delimiter, len(row))
             if len(cells) == len(row) and not _values(cells):
                 return tuple(cells)
     return ()
@@ -442,6 +612,10 @@ def _encoding(path: Path) -> str:
         raise _not_opened(path, error) from None
     if path.suffix.lower() in _WORKBOOKS:
         raise _unreadable(path, "it is a workbook: save its sheet as CSV")
+    if reason := reason_of(head):
+        raise _unreadable(path, reason)
+    # What was set aside for a recording that ended early.
+    head = head.rstrip(b"\0")
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     pairs = max(len(head) // 2, 1)

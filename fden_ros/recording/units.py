@@ -14,18 +14,22 @@ _POUND = 4.4482216152605
 UNITS: dict[str, dict[str, float]] = {
     "time": {
         "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "sek": 1.0,
-        "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
+        "sekunden": 1.0, "ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "milliseconds": 1e-3,
+        "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
     },
     "force": {
-        "N": 1.0, "pN": 1e-12, "nN": 1e-9, "uN": 1e-6,
-        "mN": 1e-3, "cN": 1e-2, "dN": 0.1, "kN": 1e3, "MN": 1e6,
-        "newton": 1.0, "newtons": 1.0, "g": 1e-3 * _GRAVITY, "gf": 1e-3 * _GRAVITY,
-        "kg": _GRAVITY, "kgf": _GRAVITY, "kp": _GRAVITY,
-        "lb": _POUND, "lbs": _POUND, "lbf": _POUND, "ozf": _POUND / 16.0,
+        "N": 1.0, "pN": 1e-12, "nN": 1e-9, "uN": 1e-6, "mN": 1e-3, "cN": 1e-2, "dN": 0.1,
+        "kN": 1e3, "MN": 1e6, "newton": 1.0, "newtons": 1.0, "millinewton": 1e-3,
+        "millinewtons": 1e-3, "dyn": 1e-5, "g": 1e-3 * _GRAVITY, "gf": 1e-3 * _GRAVITY,
+        "kg": _GRAVITY, "kgf": _GRAVITY, "kp": _GRAVITY, "lb": _POUND, "lbs": _POUND,
+        "lbf": _POUND, "oz": _POUND / 16.0, "ozf": _POUND / 16.0,
     },
     "displacement": {
         "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "micron": 1e-6,
-        "microns": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+        "microns": 1e-6, "micrometer": 1e-6, "micrometers": 1e-6, "micrometre": 1e-6,
+        "micrometres": 1e-6, "millimeter": 1e-3, "millimeters": 1e-3, "millimetre": 1e-3,
+        "millimetres": 1e-3, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0,
+        "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
     },
     "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "psi": 6894.757293168},
     "strain": {

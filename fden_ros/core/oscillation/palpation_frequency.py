@@ -43,6 +43,9 @@ class PalpationFrequency:
 
     def add(self, time: float, displacement: float) -> None:
         """Take a sample at a time [s]; times increase."""
+        if self._begun and time - self._time > _MOST / _RATE:
+            # Nothing that is remembered lies within the window before it.
+            self.reset()
         if not self._begun:
             self._start, self._begun = time, True
         while True:

@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Files of other programs, neither bags nor text tables, and what makes a table of them."""
+
+from __future__ import annotations
+
+_AS_CSV = "save its columns as CSV"
+#: By the first bytes of a file: what it is, and what to do.
+_KINDS = (
+    (b"PK\x03\x04", "it is a zip archive or a workbook: unpack it, or save its sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "it is a workbook: save its sheet as CSV"),
+    (b"\x1f\x8b", "it is packed by gzip: unpack it, or name it .csv.gz"),
+    (b"7z\xbc\xaf", "it is packed by 7-Zip: unpack it"),
+    (b"MATLAB", f"it is a MATLAB file: {_AS_CSV}"),
+    (b"\x89HDF", f"it is an HDF5 file, as of MATLAB 7.3: {_AS_CSV}"),
+    (b"PAR1", f"it is a Parquet file: {_AS_CSV}"),
+    (b"TDSm", f"it is a TDMS file of LabVIEW: {_AS_CSV}"),
+    (b"\x93NUMPY", f"it is an array of numpy: {_AS_CSV}"),
+    (b"{", f"it is JSON: {_AS_CSV}"),
+    (b"[{", f"it is JSON: {_AS_CSV}"),
+    (b"[[", f"it is JSON: {_AS_CSV}"),
+    (b"<?xml", f"it is XML: {_AS_CSV}"),
+    (b"<html", f"it is a page of HTML: {_AS_CSV}"),
+    (b"<!DOCTYPE", f"it is a page of HTML: {_AS_CSV}"),
+    (b"<table", f"it is a page of HTML: {_AS_CSV}"),
+)
+
+
+def reason_of(head: bytes) -> str:
+    """Return what a file of another program is and what to do, by its first bytes; "": unknown."""
+    begin = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return next((reason for magic, reason in _KINDS if begin.startswith(magic)), "")
