@@ -5,18 +5,21 @@
 
 from __future__ import annotations
 
-from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
+from fden_ros.core.outputs import ContactSummary, Flag
 
 
 def knows_stiffness(summary: ContactSummary) -> bool:
     """Whether N/m is known of a contact: as measured, or by a law that nothing stands against.
 
     As measured it is stated from four of its deviations on; by the law it has to be larger than
-    one, from where on it is shown as a number. Where a unit or the geometry is wrong nothing is,
-    nor where no touch was seen: there the signs may be wrong, and the air the contact.
+    one, from where on it is shown as a number. Without a geometry it is as measured alone. Where a
+    unit is wrong nothing is known, nor where no touch was seen: there the signs may be wrong, and
+    the air the contact.
     """
-    if summary.flags & (WITHHELD | Flag.TOUCH_NOT_OBSERVED):
+    if summary.flags & (Flag.IMPLAUSIBLE | Flag.TOUCH_NOT_OBSERVED):
         return False
+    if summary.flags & Flag.GEOMETRY_UNSTATED:
+        return summary.measured.loading is not None
     by_law = summary.apparent_stiffness
     is_law = by_law is not None and by_law.sd < by_law.value
     is_doubted = bool(summary.flags & (Flag.MODEL_MISMATCH | Flag.AT_PRIOR_LIMIT))
