@@ -91,6 +91,8 @@ def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, t
         (20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", "", "46 rows of press.csv have the time "
          "of the row before: give their rate as the first of --columns, such as @20"),
         (20 * "5,1,2\n", "1,2,3", "such as @500"),
+        (12 * "0,1,2\n" + "Time (s),Depth (mm),Load (N)\n" + 20 * "0,1,2\n", "",
+         "12 rows of press.csv above line 15 are of another table, and left out"),
     ],
 )  # fmt: skip
 def test_what_is_left_out_of_a_table_or_has_no_time_of_its_own_is_said(

@@ -41,6 +41,8 @@ _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?
 _QUANTITIES = ("time", "force", "displacement")
 #: Letters of a cell or a row that a message shows.
 _SHOWN = 60
+#: Rows of numbers above the headings that may be results or settings.
+_RESULTS = 10
 #: More rows than this part have the time of the row before where a clock is too coarse.
 _REPEATED = 0.2
 
@@ -298,6 +300,11 @@ class TableReader:
             )
         if self._left_out:
             lines.append(self._left_out)
+        if self.layout.rows_above > _RESULTS:
+            lines.append(
+                f"{self.layout.rows_above} rows of {self.path.name} above line "
+                f"{self.layout.before + 1} are of another table, and left out"
+            )
         return tuple(lines)
 
     @property

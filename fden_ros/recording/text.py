@@ -102,6 +102,11 @@ class Layout:
     is_halved: bool = False  #: whether decimal commas have cut every number into two cells
 
     @property
+    def rows_above(self) -> int:
+        """Lines with two values and more above the headings, as of another table."""
+        return sum(_values(_split(line, self.delimiter)) >= 2 for line in self.preamble)
+
+    @property
     def width(self) -> int:
         """Columns."""
         return max((len(self.headings), *map(len, self.sample)))
