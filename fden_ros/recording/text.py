@@ -217,8 +217,9 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
         if first < len(table):
             break
     wanted = set(names)
-    named = next((i for i, row in enumerate(table) if wanted and wanted <= set(row)), None)
-    heading = _heading(table, first) if named is None else named
+    heading = _heading(table, first)
+    if wanted and not (heading is not None and wanted <= set(table[heading])):
+        heading = next((i for i, row in enumerate(table) if wanted <= set(row)), heading)
     units = () if heading is None else _units_below(table, heading)
     headings: tuple[str, ...] = ()
     if heading is not None:
