@@ -39,10 +39,13 @@ from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
 from benchmark.questions import read_answers, read_questions, write_questions
 from benchmark.score import Judged, Share
+from benchmark.trial import fed
 from fden_ros.core.estimation import Estimate, ParameterSet
-from fden_ros.core.outputs import Flag
+from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Backlog, Input, Message
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import ramp_scenario
@@ -350,6 +353,19 @@ def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
         share = 0.5 if row.endswith("_arm") and change is INCLUSION else 0.75
         least = share * len(numbers)
         assert changes.told_in(delays)["in time"].part >= least, change.name
+
+
+def test_a_change_after_another_law_was_asked_for_has_an_estimate():
+    row, outputs = changes.CASES["flat_30_arm"], []
+    pressed = changes.press(row.geometry, row.rate_hz, SLIDE, 3)
+    area, thickness = row.geometry.force_per_stress, row.geometry.length_m
+    own = {"geometry.area": area, "geometry.thickness": thickness}
+    pipeline = Pipeline(pipeline_config(check(own)), outputs.append)
+    for _ in fed(pipeline, pressed.times, pressed.forces, pressed.displacements):
+        pass
+    pipeline.finish()
+    (summary,) = (one for one in outputs if isinstance(one, ContactSummary))
+    assert summary.flags == Flag.TISSUE_CHANGED and summary.estimate is not None
 
 
 @pytest.mark.parametrize("numbers", counts(1, 4))

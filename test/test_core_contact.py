@@ -15,6 +15,7 @@ from pipeline_helpers import items_of
 from property_helpers import counts
 
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams import Pair, SynchronizeConfig, Synchronizer
 from simulation.scenario import Tissue, ramp_scenario
 from simulation.simulate import START_NS, simulate
@@ -372,3 +373,16 @@ def test_a_force_that_rises_under_a_probe_at_rest_is_a_contact_before_the_first_
     after = made(np.concatenate([force, step]), np.concatenate([way, np.zeros(2000)]))
     _, events = events_of(after, measure_bias=False)
     assert [type(event) for _, event in events] == [Onset, Release]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_onset_of_a_second_press_is_not_in_the_retract_of_the_first(seed: int) -> None:
+    # The retract passes the surface, too: a record from there on put alpha 20 deviations off.
+    time = np.arange(0.0, 2.14, 0.005)
+    way = np.interp(time, [0.0, 0.59, 1.75, 2.15], [2.7e-3, -2e-3, -2e-3, 1.2e-3])
+    surface, order, window = 0.8e-3, 0.2, 2.2
+    depth = np.where(time > 1.0, np.maximum(way - surface, 0.0), 0.0)
+    noise = np.random.default_rng(seed).normal(0.0, 2e-4, time.size)
+    found = find_surface(time, 50.0 * depth + noise, way, order, 0.0, window)
+    assert found.first == pytest.approx(np.argmax(depth > 0.0), abs=6)
+    assert found.displacement == pytest.approx(surface, abs=1e-4)

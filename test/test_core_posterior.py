@@ -31,12 +31,12 @@ from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.filter import LinearRange, PressFilter
 from fden_ros.core.estimation.maximum import CONVERGED
-from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Record
 from fden_ros.core.estimation.scales import scales_of
-from fden_ros.core.estimation.smooth_errors import strain_range
+from fden_ros.core.estimation.smooth_errors import characteristic_prior, strain_range
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import Unknown, unknowns_of
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, phi
@@ -339,6 +339,12 @@ def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -
 def posterior_with(press: Press, *events: Unknown) -> Posterior:
     """The posterior with changes or jerks."""
     return posterior_of(press, LAW_OFF, events)
+
+
+def test_a_bend_beyond_numbers_has_no_prior_and_is_no_crash() -> None:
+    # A plan after presses that contradict each other drew ln Gn of -1,410.
+    with pytest.raises(UNSOLVABLE):
+        characteristic_prior(math.exp(-1410.0), 1.0)
 
 
 @pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (1.5, True), (0.6, True)])

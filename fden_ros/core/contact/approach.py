@@ -12,13 +12,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import CHUNK_NS
-from fden_ros.core.contact.surface import Surface
+from fden_ros.core.contact.surface import Surface, clear_way
 from fden_ros.core.streams import NANOSECONDS
 
-#: A probe has come to the surface through the air when its way there is more than this many
-#: deviations of the surface, and than this many usual steps of the displacement: noise
-#: alone reaches six.
-_APPROACH_DEVIATIONS, _APPROACH_STEPS = 5.0, 10.0
 #: After a release a probe that has not advanced touches nothing. It has by more than 6 usual
 #: second differences, 10 deviations of white noise, whose range in 10,000 samples is 8, and than
 #: 2 of the smallest steps of its encoder.
@@ -48,9 +44,7 @@ class Approach(NamedTuple):
             return False
         noise = float(np.median(np.abs(np.diff(before))))
         way = self.surface.displacement - float(before.min())
-        return way > max(
-            _APPROACH_DEVIATIONS * self.surface.displacement_sd, _APPROACH_STEPS * noise
-        )
+        return way > clear_way(self.surface.displacement_sd, noise)
 
     def has_advanced(self) -> bool:
         """Whether the probe has moved in since the release, by more than the displacement's noise.

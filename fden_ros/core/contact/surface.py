@@ -33,6 +33,11 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 _LEAST_EVIDENCE = 20.0
 
 
+#: A probe is off the surface by more than this many deviations of the surface, and than this many
+#: usual steps of the displacement: noise alone reaches six.
+_CLEAR_DEVIATIONS, _CLEAR_STEPS = 5.0, 10.0
+
+
 class Surface(NamedTuple):
     """Where an approach met the tissue."""
 
@@ -54,6 +59,11 @@ _MIN_WINDOW_SAMPLES = 24
 _CONTACT_SHARE = 0.6
 #: Before the onset the force is less than this share of that at the detection.
 _AIR_SHARE = 0.1
+
+
+def clear_way(surface_sd: float, step: float) -> float:
+    """Return the way from a surface [m] that neither its deviation nor usual steps make."""
+    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
 
 
 def find_surface(
@@ -99,14 +109,31 @@ def find_surface(
     spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
     onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
-    index = int(np.searchsorted(time, onset_time))
+    surface_sd = bins.deviation(onset_time, spacing, noise)
     return Surface(
-        index,
+        _last_way_in(displacement, int(np.searchsorted(time, onset_time)), surface, surface_sd),
         surface,
-        bins.deviation(onset_time, spacing, noise),
+        surface_sd,
         bins.evidence(onset_time, noise),
         bins.shows(onset_time),
     )
+
+
+def _last_way_in(displacement: Array, first: int, surface: float, surface_sd: float) -> int:
+    """Return the first sample behind the surface since the probe was last before it.
+
+    A retract passes the surface, too, and explains the force of the next press as well.
+    """
+    way = displacement[first:]
+    if way.size < 2:
+        return first
+    # As far before it as a probe is that came through the air.
+    clear = clear_way(surface_sd, float(np.median(np.abs(np.diff(way)))))
+    before = np.flatnonzero(way < surface - clear)
+    if not before.size:
+        return first
+    left = int(before[-1])
+    return first + left + int(np.argmax(way[left:] >= surface))
 
 
 @dataclass(frozen=True)

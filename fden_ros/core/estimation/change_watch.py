@@ -195,7 +195,10 @@ def with_event(hypotheses: Sequence[Hypothesis], found: Found) -> list[Hypothesi
     changed = without.with_event(look.event)
     if look.posterior is not None and look.solution is not None:
         solutions = Solutions((look.solution,), (look.solution.log_evidence,))
-        solved = replace(without.solved, posterior=look.posterior, solutions=solutions)
+        # Other laws were asked without the event: their states have no place for it.
+        solved = replace(
+            without.solved, posterior=look.posterior, solutions=solutions, rivals=None
+        )
         changed.take_over(solved, 0.0)
         odds = look.gain - THRESHOLD * (changed.change_count - without.change_count)
         changed.shift_weight(without.log_weight + odds - changed.log_weight)

@@ -85,7 +85,9 @@ class LinearRange:
 
 
 def _log_phi(strain: float, state: Array) -> float:
-    return float(log_phi(np.array(strain), state[LOG_G], state[LOG_GN]))
+    # From a Gn that is 0 to rounding no filter goes on.
+    with np.errstate(divide="raise"):
+        return float(log_phi(np.array(strain), state[LOG_G], state[LOG_GN]))
 
 
 class PressFilter:

@@ -26,7 +26,7 @@ from fden_ros.core.estimation.solution import Solution, averaged, cost_of, log_e
 from fden_ros.core.estimation.unknowns import LAW, ORDER
 
 #: What numbers do where a state is beyond them: whatever evaluates or solves may raise these.
-UNSOLVABLE = (FloatingPointError, OverflowError, np.linalg.LinAlgError)
+UNSOLVABLE = (ArithmeticError, np.linalg.LinAlgError)
 
 
 @dataclass(eq=False)
