@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Spheres on layers, against a solver of their own; what is said of a layer that is assumed."""
+"""Spheres on layers, against a solver of their own; layers that are assumed; their retract."""
 
 from __future__ import annotations
 
@@ -14,8 +14,14 @@ import pytest
 import yaml
 from command_helpers import answer
 
+from benchmark.other_laws import Law, springpot, stress_of_law
+from benchmark.trial import fed, last_summaries
 from fden_ros.core.law import FlatPunch, Sphere
+from fden_ros.core.outputs import Output
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.offline.thickness import assumed
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation import FdenModel
 from simulation.bag import write_recording
 from simulation.elastic_layer import stiffening
 from simulation.scenario import (
@@ -27,7 +33,7 @@ from simulation.scenario import (
     Site,
     Tissue,
 )
-from simulation.simulate import simulate
+from simulation.simulate import KNOWN_RIG, simulate
 from simulation.trajectory import RampHold
 
 RADIUS = 0.005
@@ -153,3 +159,39 @@ def test_a_face_wider_than_the_layer_is_thick_is_told_of_and_hayes_is_the_remedy
     column, layer = FlatPunch(face, 0.01), FlatPunch(face, 0.01, 0.5)
     assert column.stress_per_force / layer.stress_per_force == pytest.approx(times, rel=0.02)
     assert not assumed(layer) and not assumed(FlatPunch(face, 0.02))
+
+
+def test_the_retract_of_a_round_probe_tells_nothing_where_its_contact_shrinks():
+    """Tissue comes off at its rim; under a flat face the same force is another tissue's."""
+    step, cuts = 0.002, 10
+    knots, depths = [0.0, 2.0, 4.2, 6.2, 7.2, 9.0], [-0.1, -0.1, 0.35, 0.35, -0.1, -0.1]
+    times = step * np.arange(1.0, knots[-1] / step)
+    compressions = np.interp(times, knots, depths)
+    model = FdenModel(2000.0, 7.0, 0.15)
+
+    def found(kind: str, more: float) -> float:
+        values = {
+            "sphere": {"geometry.kind": "sphere", "geometry.radius": 0.01},
+            "flat": {"geometry.kind": "flat_punch", "geometry.area": 1e-4,
+                     "geometry.thickness": 0.01},
+        }[kind]  # fmt: skip
+        config = pipeline_config(check({**values, **KNOWN_RIG}))
+        geometry = config.geometry
+        strains = np.sign(compressions) * [geometry.strain(abs(u)) for u in compressions]
+        law = Law(model, springpot(model.fractional_order))
+        forces = stress_of_law(law, strains, step) / geometry.stress_per_force
+        forces *= np.where((times > 6.2) & (compressions < 0.9 * 0.35), 1.0 + more, 1.0)
+        noise = 1e-3 * forces.max() * np.random.default_rng(1).standard_normal(times.size)
+        outputs: list[Output] = []
+        pipeline = Pipeline(config, outputs.append)
+        samples = (times, forces + noise, geometry.length * compressions)
+        for _ in fed(pipeline, *(one[cuts - 1 :: cuts] for one in samples), placed=True):
+            pass
+        pipeline.finish()
+        (summary,) = last_summaries(outputs).values()
+        assert summary.estimate is not None
+        return summary.estimate.linear_stiffness
+
+    assert found("sphere", 0.2) == pytest.approx(found("sphere", 0.0), rel=1e-3)
+    assert found("sphere", 0.2) == pytest.approx(2000.0, rel=0.05)
+    assert found("flat", 0.2) != pytest.approx(found("flat", 0.0), rel=0.01)

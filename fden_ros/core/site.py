@@ -222,7 +222,9 @@ class Site(Standing):
             if self.is_observed and self.whereabouts.is_dragged(pair):
                 self.withdraw()
         if learns and self.is_observed and self._estimator is not None:
-            self._estimator.take(step, compression, stress, is_free=is_free)
+            is_round = geometry.exponent > 1.0
+            is_off = is_free or (is_round and self._lift_off.is_shrinking(compression))
+            self._estimator.take(step, compression, stress, is_free=is_off)
         if step > 0.0:
             self._memory.press(step, 0.0 if is_free else stress)
         self._last_ns = pair.stamp_ns
