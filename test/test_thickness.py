@@ -180,7 +180,7 @@ def test_the_retract_of_a_round_probe_tells_nothing_where_its_contact_shrinks():
         strains = np.sign(compressions) * [geometry.strain(abs(u)) for u in compressions]
         law = Law(model, springpot(model.fractional_order))
         forces = stress_of_law(law, strains, step) / geometry.stress_per_force
-        forces *= np.where((times > 6.2) & (compressions < 0.9 * 0.35), 1.0 + more, 1.0)
+        forces *= np.where((times > 6.2) & (compressions < 0.94 * 0.35), 1.0 + more, 1.0)
         noise = 1e-3 * forces.max() * np.random.default_rng(1).standard_normal(times.size)
         outputs: list[Output] = []
         pipeline = Pipeline(config, outputs.append)

@@ -19,7 +19,7 @@ _CLEAR = 2.0
 #: A probe has moved back, or in again, when it has by this part of its compression.
 _RETREAT = 0.02
 #: And its contact shrinks, where it is round, when it has by this part of the deepest compression.
-_SHRINKING = 0.1
+_SHRINKING = 0.05
 
 
 class KnownTissue(NamedTuple):

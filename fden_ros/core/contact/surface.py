@@ -36,6 +36,8 @@ _LEAST_EVIDENCE = 20.0
 #: A probe is off the surface by more than this many deviations of the surface, and than this many
 #: usual steps of the displacement: noise alone reaches six.
 _CLEAR_DEVIATIONS, _CLEAR_STEPS = 5.0, 10.0
+#: And away from it after this time [s].
+_LEAST_AWAY = 0.5
 
 
 class Surface(NamedTuple):
@@ -111,7 +113,7 @@ def find_surface(
     surface = float(np.interp(onset_time, bins.time, bins.displacement))
     surface_sd = bins.deviation(onset_time, spacing, noise)
     return Surface(
-        _last_way_in(displacement, int(np.searchsorted(time, onset_time)), surface, surface_sd),
+        _last_way_in(time, displacement, onset_time, surface, surface_sd),
         surface,
         surface_sd,
         bins.evidence(onset_time, noise),
@@ -119,18 +121,22 @@ def find_surface(
     )
 
 
-def _last_way_in(displacement: Array, first: int, surface: float, surface_sd: float) -> int:
+def _last_way_in(
+    time: Array, displacement: Array, onset_time: float, surface: float, surface_sd: float
+) -> int:
     """Return the first sample behind the surface since the probe was last before it.
 
-    A retract passes the surface, too, and explains the force of the next press as well.
+    A retract passes the surface, too, and explains the force of the next press as well. What is
+    shorter than `_LEAST_AWAY` is no retract: a probe that chatters is in one contact.
     """
+    first = int(np.searchsorted(time, onset_time))
     way = displacement[first:]
     if way.size < 2:
         return first
     # As far before it as a probe is that came through the air.
     clear = clear_way(surface_sd, float(np.median(np.abs(np.diff(way)))))
     before = np.flatnonzero(way < surface - clear)
-    if not before.size:
+    if not before.size or time[first + before[-1]] - time[first + before[0]] < _LEAST_AWAY:
         return first
     left = int(before[-1])
     return first + left + int(np.argmax(way[left:] >= surface))
