@@ -120,7 +120,7 @@ def clocked(times: list[str]) -> str:
 
 
 def since(per_second: int, heading: str) -> str:
-    """Return a table of times since 1970 in a unit of which so many make a second."""
+    """Return a table of times since 1970, in parts of a second: 1000 of ms."""
     begin = 1_700_000_000 * per_second
     rows = ((begin + round(per_second * t), f, 1e3 * d) for t, f, d in ROWS)
     text = "".join(f"{time},{f},{d}\n" for time, f, d in rows)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 _AS_CSV = "save its columns as CSV"
 #: By the first bytes of a file: what it is, and what to do.
-_KINDS = (
+_KINDS: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
     (b"PK\x03\x04", "it is a zip archive or a workbook: unpack it, or save its sheet as CSV"),
     (b"\xd0\xcf\x11\xe0", "it is a workbook: save its sheet as CSV"),
     (b"\x1f\x8b", "it is packed by gzip: unpack it, or name it .csv.gz"),
@@ -17,13 +17,9 @@ _KINDS = (
     (b"PAR1", f"it is a Parquet file: {_AS_CSV}"),
     (b"TDSm", f"it is a TDMS file of LabVIEW: {_AS_CSV}"),
     (b"\x93NUMPY", f"it is an array of numpy: {_AS_CSV}"),
-    (b"{", f"it is JSON: {_AS_CSV}"),
-    (b"[{", f"it is JSON: {_AS_CSV}"),
-    (b"[[", f"it is JSON: {_AS_CSV}"),
+    ((b"{", b"[{", b"[["), f"it is JSON: {_AS_CSV}"),
     (b"<?xml", f"it is XML: {_AS_CSV}"),
-    (b"<html", f"it is a page of HTML: {_AS_CSV}"),
-    (b"<!DOCTYPE", f"it is a page of HTML: {_AS_CSV}"),
-    (b"<table", f"it is a page of HTML: {_AS_CSV}"),
+    ((b"<html", b"<!DOCTYPE", b"<table"), f"it is a page of HTML: {_AS_CSV}"),
 )
 
 

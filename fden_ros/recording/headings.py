@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from fden_ros.errors import InputError
-from fden_ros.recording.units import UNITS, factor_of
+from fden_ros.recording.units import BRACKETED, UNITS, factor_of
 
 #: Words of headings.
 WORDS = {
@@ -50,7 +50,6 @@ _SECONDS = re.compile(r"(?P<of>(?:.*[./_])?)secs?")
 _MEGA = 1e6
 #: LabVIEW's measurement files call the time [s] so.
 _LABVIEW = "X_Value"
-_BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 
 #: Headings of recorders that are known by name: time, force, displacement. Of Universal Robots'
 #: real-time interface (its guide: outputs): the compensated force and the pose are in the robot's
@@ -133,7 +132,7 @@ class Heading:
     @property
     def words(self) -> list[str]:
         """Its words in small letters, without what stands in brackets."""
-        text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETED.sub(" ", self.text))
+        text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", BRACKETED.sub(" ", self.text))
         return [word for word in re.split(r"[\W_]+", text.lower()) if word]
 
     def names(self, quantity: str) -> bool:
@@ -178,7 +177,7 @@ class Heading:
     def _of_its_words(self, quantity: str) -> float | None:
         if self.unit:
             return factor_of(quantity, self.unit)
-        brackets = _BRACKETED.findall(self.text)
+        brackets = BRACKETED.findall(self.text)
         if brackets:
             known = [factor_of(quantity, text) for text in brackets]
             return next((factor for factor in known if factor is not None), None)
@@ -198,7 +197,7 @@ class Heading:
     @property
     def is_silent(self) -> bool:
         """Whether nothing stands where a unit would."""
-        return not (self.unit or _BRACKETED.search(self.text) or self.has_unit)
+        return not (self.unit or BRACKETED.search(self.text) or self.has_unit)
 
     def _is_of_a_message(self, quantity: str) -> bool:
         path = re.split(r"[/.]", self.text.lower())

@@ -206,7 +206,7 @@ class BagSource:
             if topic.type_name == _JOINTS:
                 first = next(self.reader.messages([topic.name]), None)
                 names: list[str] = []
-                with contextlib.suppress(Exception):  # counted as damaged where it is used
+                with contextlib.suppress(InputError):  # counted as damaged where it is used
                     names = list(decode(first).name) if first is not None else []
                 if len(names) > 1:
                     self.note(
@@ -296,7 +296,7 @@ class BagSource:
             if decode is None:
                 header = raw_stamp(message)
             else:
-                with contextlib.suppress(Exception):  # counted as damaged where it is used
+                with contextlib.suppress(InputError):  # counted as damaged where it is used
                     stamp = carried_stamp(decode(message.data))
                     header = message.log_time_ns if stamp is None else stamp_ns(stamp)
             if header is not None:

@@ -26,7 +26,7 @@ from dateutil import parser as dates
 from fden_ros.errors import InputError
 from fden_ros.recording.foreign import reason_of
 from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
-from fden_ros.recording.units import is_unit
+from fden_ros.recording.units import BRACKETED, is_unit
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 _WORKBOOKS = (".xlsx", ".xls", ".ods")
@@ -60,7 +60,6 @@ _CLOCK = re.compile(
 #: A cell that begins with a quotation mark and goes on in the next line, as a heading may twice.
 _OPEN = re.compile(r'^(?:[^"]|"[^"]*")*(?:^|[;,\t|])\s*"[^"]*$')
 _MOST_BREAKS = 3
-_BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 _PARTS = re.compile(r"[\s_/,]+")
 _NS = 1_000_000_000
 #: From 2001 to 2096, in s since 1970.
@@ -542,7 +541,7 @@ def states_units(row: Sequence[str]) -> bool:
 
 
 def _states_a_unit(cell: str) -> bool:
-    brackets = _BRACKETED.findall(cell)
+    brackets = BRACKETED.findall(cell)
     said = brackets or _PARTS.split(cell)[-1:]
     return any(is_unit(text) and not text.isdigit() for text in said)
 

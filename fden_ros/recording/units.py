@@ -10,6 +10,8 @@ import re
 _GRAVITY = 9.80665
 _POUND = 4.4482216152605
 
+#: What stands in brackets in a heading, as a unit does.
+BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 #: By quantity: unit and its factor to s, N, m, Pa, a ratio.
 UNITS: dict[str, dict[str, float]] = {
     "time": {

@@ -42,9 +42,8 @@ class Approach(NamedTuple):
         before = self.displacement[: self.surface.first]
         if before.size < 2:
             return False
-        noise = float(np.median(np.abs(np.diff(before))))
         way = self.surface.displacement - float(before.min())
-        return way > clear_way(self.surface.displacement_sd, noise)
+        return way > clear_way(self.surface.displacement_sd, before)
 
     def has_advanced(self) -> bool:
         """Whether the probe has moved in since the release, by more than the displacement's noise.

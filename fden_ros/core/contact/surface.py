@@ -36,7 +36,7 @@ _LEAST_EVIDENCE = 20.0
 #: A probe is off the surface by more than this many deviations of the surface, and than this many
 #: usual steps of the displacement: noise alone reaches six.
 _CLEAR_DEVIATIONS, _CLEAR_STEPS = 5.0, 10.0
-#: And away from it after this time [s].
+#: And away from it after this time [s]: a probe that chatters is off for less.
 _LEAST_AWAY = 0.5
 
 
@@ -63,8 +63,12 @@ _CONTACT_SHARE = 0.6
 _AIR_SHARE = 0.1
 
 
-def clear_way(surface_sd: float, step: float) -> float:
-    """Return the way from a surface [m] that neither its deviation nor usual steps make."""
+def clear_way(surface_sd: float, displacement: Array) -> float:
+    """Return the way from a surface [m] that neither its deviation nor usual steps make.
+
+    `displacement`: two samples or more, [m], shape (n,).
+    """
+    step = float(np.median(np.abs(np.diff(displacement))))
     return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
 
 
@@ -134,8 +138,7 @@ def _last_way_in(
     if way.size < 2:
         return first
     # As far before it as a probe is that came through the air.
-    clear = clear_way(surface_sd, float(np.median(np.abs(np.diff(way)))))
-    before = np.flatnonzero(way < surface - clear)
+    before = np.flatnonzero(way < surface - clear_way(surface_sd, way))
     if not before.size or time[first + before[-1]] - time[first + before[0]] < _LEAST_AWAY:
         return first
     left = int(before[-1])

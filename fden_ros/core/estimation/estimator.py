@@ -86,7 +86,8 @@ class Estimator:
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
         """Take a sample of a contact, `step` seconds after the last.
 
-        `is_free`: the tissue is not on the probe, as far as is known.
+        `is_free`: its stress tells nothing of the tissue, which is not on the probe, as far as is
+        known, or comes off a round one.
         """
 
     def rest(self, duration: float) -> None:

@@ -173,10 +173,7 @@ class PosteriorEstimator(Estimator):
         self.press = PressPosterior(hypotheses, Intake(settings, self._time, *known, way))
 
     def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
-        """Take a sample of a contact, `step` seconds after the last.
-
-        `is_free`: the tissue is not on the probe, as far as is known.
-        """
+        """Take a sample of a contact, `step` seconds after the last."""
         assert self.press is not None
         self._time += step
         self.press.take(Sample(self._time, compression, stress), step, is_free=is_free)

@@ -144,10 +144,10 @@ def log_stiffness(
     """
     at = compression, stress, time_scale
     now = _moments(motions, *at)
+    if now is None or not any(motion.solved for motion in motions):
+        return now
     solved = _moments([motion.when_solved for motion in motions], *at)
-    if now is None or solved is None:
-        return None
-    return now[0], max(now[1], solved[1])
+    return (now[0], max(now[1], solved[1])) if solved is not None else None
 
 
 def _moments(
