@@ -1,29 +1,24 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Libraries of tissues: from YAML, learned from contacts, and by `fden train`."""
+"""Libraries of tissues: from YAML, and learned from tables of contacts."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from pipeline_helpers import refusal
 
-import fden_ros.offline.labelled as labelled
 from fden_ros.cli import main
-from fden_ros.core.classification import UNKNOWN, log_evidence, posterior
+from fden_ros.core.classification import UNKNOWN, likelihood_of, log_evidence, posterior
 from fden_ros.errors import InputError
-from fden_ros.offline.labelled import Source, read_source
-from fden_ros.offline.replay import replay
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import load_library, parse_library
-from fden_ros.tissues.training import check as checked
-from fden_ros.tissues.training import contacts_of, learn, library_of, library_text
+from fden_ros.tissues.training import Contacts, learn, library_of, library_text, read_contacts
 from simulation.bag import write_recording
 from simulation.scenario import Tissue, ramp_scenario
 from simulation.simulate import simulate
@@ -130,159 +125,65 @@ def test_built_in_library_is_left_out_where_it_does_not_fit():
     assert pipeline_config(parameters()).library.name == "paper"
 
 
-# Libraries learned from labelled contacts
+# Libraries learned from contacts
 
 
 MEAN = np.array([6.3, 2.1, 0.13])
-BETWEEN = np.diag(np.square([0.25, 0.15, 0.015]))
-WITHIN = np.diag(np.square([0.12, 0.10, 0.008]))
+SPREAD = np.diag(np.square([0.28, 0.18, 0.017]))
 SHIFT = np.array([1.2, 0.1, 0.08])
 
 
-def drawn(rng, *, classes=2, specimens=20, each=3, error=(0.05, 0.05, 0.005), named=True):
-    """Contacts of classes SHIFT apart, with estimation errors of very different size."""
-    tissues, names, means, covariances = [], [], [], []
-    for index in range(classes):
-        for specimen in range(specimens):
-            middle = rng.multivariate_normal(MEAN + index * SHIFT, BETWEEN)
-            for _ in range(each):
-                covariance = np.diag(np.square(np.array(error) * rng.uniform(0.2, 2.0, 3)))
-                value = rng.multivariate_normal(middle, WITHIN)
-                means.append(rng.multivariate_normal(value, covariance))
-                covariances.append(covariance)
-                tissues.append("abc"[index])
-                names.append(str(specimen) if named else "")
-    return contacts_of(tissues, names, np.array(means), np.array(covariances))
+def drawn(rng, index=0, count=20, error=(0.05, 0.05, 0.005)):
+    """Contacts of one of several classes SHIFT apart, with errors of very different size."""
+    covariances = [np.diag(np.square(error * rng.uniform(0.2, 2.0, 3))) for _ in range(count)]
+    means = [rng.multivariate_normal(MEAN + index * SHIFT, SPREAD + one) for one in covariances]
+    return Contacts(np.array(means), np.array(covariances))
 
 
-def test_estimation_error_is_taken_out():
+def test_estimation_error_is_subtracted():
     rng = np.random.default_rng(0)
-    found = []
-    for _ in range(4):
-        # Errors as large as the spread itself.
-        spreads = learn(drawn(rng, specimens=40, error=(0.3, 0.2, 0.02)))
-        found += [(np.diag(one.between), np.diag(one.within)) for one in spreads.values()]
-    between, within = np.mean(found, axis=0)
-    # Uncorrected the whole would be 2.3 times too large.
-    np.testing.assert_allclose(between + within, np.diag(BETWEEN + WITHIN), rtol=0.3)
-    np.testing.assert_allclose(between, np.diag(BETWEEN), rtol=0.4)
+    # Errors as large as the spread itself: without it the variance would be 2.5 times too large.
+    found = [learn("a", drawn(rng, count=40, error=(0.3, 0.2, 0.02))) for _ in range(20)]
+    mean = np.mean([np.diag(one.covariance) for one in found], axis=0)
+    np.testing.assert_allclose(mean, np.diag(SPREAD), rtol=0.3)
+    assert found[0].degrees_of_freedom == 43.0
 
 
-def test_prediction_from_few_specimens_is_the_golden_one():
-    learned = learn(drawn(np.random.default_rng(5), specimens=4, each=2))
-    prediction = learned["a"].tissue("a")
-    spread = np.sqrt(np.diag(prediction.covariance))
-    np.testing.assert_allclose(spread, [0.35448, 0.22486, 0.014351], rtol=1e-3)
-    assert prediction.degrees_of_freedom == 7.0
+def test_class_of_one_contact_has_the_default_spread_and_the_error():
+    one = learn("a", Contacts(MEAN[None], np.diag([1.0, 1.0, 1e-4])[None]))
+    default = 2.0 * np.diag(np.square([0.28, 0.19, 0.02]))
+    np.testing.assert_allclose(one.covariance, default + np.diag([1.0, 1.0, 1e-4]))
 
 
 @pytest.mark.statistics
-def test_library_from_few_specimens_is_calibrated():
+def test_library_from_few_contacts_is_calibrated():
     rng = np.random.default_rng(5)
     said, right = [], []
-    for _ in range(40):
-        library = library_of(learn(drawn(rng, specimens=4, each=2)), unknown_prior=0.001)
-        fresh = drawn(rng, specimens=25, each=1)
-        probabilities = posterior(library, log_evidence(library, fresh.likelihood)[0])
-        said.append(probabilities.max(axis=1))
-        truth = np.array(fresh.tissues) == "b"
-        right.append(probabilities.argmax(axis=1) == truth)
-    said, right = np.concatenate(said), np.concatenate(right)
-    assert abs(np.mean(said) - np.mean(right)) < 0.025
-
-
-# The check
-
-
-def test_check_leaves_out_specimens_not_contacts():
-    rng = np.random.default_rng(6)
-    # Every specimen has a place of its own, and classes do not differ: only the specimen tells.
-    tissues, names, means = [], [], []
-    for index in range(16):
-        middle = rng.normal(MEAN, [0.8, 0.3, 0.03])
-        for _ in range(6):
-            tissues.append("ab"[index % 2])
-            names.append(str(index))
-            means.append(rng.normal(middle, [0.01, 0.01, 0.001]))
-    covariance = np.broadcast_to(np.diag(np.square([0.01, 0.01, 0.001])), (96, 3, 3))
-    contacts = contacts_of(tissues, names, np.array(means), covariance)
-    result = checked(contacts, learn(contacts))
-    assert 0.25 < np.mean(result.errors) < 0.9
-    low, high = result.interval()
-    assert low < 0.5 < high
-
-
-# The file
+    for _ in range(200):
+        library = library_of({name: drawn(rng, i, 5) for i, name in enumerate("ab")})
+        for truth in range(2):
+            fresh = drawn(rng, truth, 10)
+            evidence = log_evidence(library, likelihood_of(*fresh[:2]))[0]
+            known = posterior(library, evidence)[:, :-1]
+            known /= known.sum(axis=1, keepdims=True)
+            said.append(known.max(axis=1))
+            right.append(known.argmax(axis=1) == truth)
+    assert abs(np.mean(said) - np.mean(right)) < 0.02
 
 
 def test_library_that_was_written_is_read_again():
     rng = np.random.default_rng(9)
-    contacts = drawn(rng)
-    spreads = learn(contacts)
-    library = library_of(spreads, "mine", {"a": 3.0}, 0.2, "N", "flat_punch")
-    text = library_text(
-        library, spreads, contacts, checked(contacts, spreads), {"kind": "flat_punch"}
-    )
-    again = parse_library(text, "text")
+    library = library_of({"a": drawn(rng), "b": drawn(rng, 1)}, "mine", "N", "flat_punch")
+    again = parse_library(library_text(library, {"kind": "flat_punch"}), "text")
     assert (again.name, again.units, again.geometry) == ("mine", "N", "flat_punch")
     assert again.class_names == ("a", "b", UNKNOWN)
     for one, other in zip(library.classes, again.classes, strict=True):
-        np.testing.assert_allclose(one.mean, other.mean, rtol=1e-8)
-        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-8)
-        assert one.degrees_of_freedom == other.degrees_of_freedom
-        assert one.prior == pytest.approx(other.prior, rel=1e-5)
-    for tissue in library.tissues:
-        wider = library.unknown.covariance - tissue.covariance
-        assert np.linalg.eigvalsh(wider)[0] > 0.0
-    assert library.tissues[0].prior == pytest.approx(3.0 * library.tissues[1].prior)
-    content = yaml.safe_load(text)
-    assert content["tissues"][0]["trained_on"] == {"contacts": 60, "specimens": 20}
-    assert content["check"]["contacts"] == 120
+        np.testing.assert_allclose(one.mean, other.mean)
+        np.testing.assert_allclose(one.covariance, other.covariance)
+        assert (one.degrees_of_freedom, one.prior) == (other.degrees_of_freedom, other.prior)
 
 
-# fden train: from labelled recordings to a library, and back into a replay
-
-
-def train(capsys, *arguments):
-    code = main(["train", *map(str, arguments)])
-    shown = capsys.readouterr()
-    return code, shown.out, shown.err
-
-
-def learned_from(monkeypatch, contacts):
-    """Let the recordings hold these contacts."""
-    monkeypatch.setattr(labelled, "read_source", lambda *arguments: contacts)
-
-
-def test_contacts_become_a_library_with_a_check_and_priors(tmp_path, capsys, monkeypatch):
-    learned_from(monkeypatch, drawn(np.random.default_rng(0), specimens=6, each=2))
-    library = tmp_path / "library.yaml"
-    priors = ("--prior", "a=3", "--prior", "b=1", "--unknown", "0.2")
-    code, out, _ = train(capsys, "a=here", "-o", library, *priors)
-    assert code == 0
-    assert "error 0.0%" in out and "12 specimens" in out
-    found = load_library(library)
-    assert found.class_names == ("a", "b", "unknown")
-    for index, tissue in enumerate(found.tissues):
-        off = np.abs(tissue.mean - MEAN - index * SHIFT)
-        assert np.all(off < [0.3, 0.2, 0.02])
-    assert [round(one.prior, 4) for one in found.classes] == [0.6, 0.2, 0.2]
-    assert found.units == "Pa"
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    """Two bags of one site each, and parameters with a wide prior."""
-    folder = tmp_path_factory.mktemp("bags")
-    for name, g in (("soft", 450.0), ("stiff", 1500.0)):
-        scenario = ramp_scenario(
-            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=200.0, seed=1,
-            tissue=Tissue(g, 8.0, 0.13),
-        )  # fmt: skip
-        write_recording(simulate(scenario), folder / name)
-    return folder, changed(folder / "soft" / "identifier.yaml", folder / "probe.yaml", **{
-        "prior": {"linear_stiffness_log_sd": 1.0}
-    })  # fmt: skip
+# fden batch, fden train, fden replay
 
 
 def changed(path, other, **changes):
@@ -295,57 +196,63 @@ def changed(path, other, **changes):
     return other
 
 
-def test_labelled_bags_become_a_library_that_a_replay_uses(bags, tmp_path, capsys):
-    folder, config = bags
+def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
+    labelled = []
+    for name, g in (("soft", 450.0), ("stiff", 1500.0)):
+        scenario = ramp_scenario(
+            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=200.0, seed=1,
+            tissue=Tissue(g, 8.0, 0.13),
+        )  # fmt: skip
+        write_recording(simulate(scenario), tmp_path / name)
+        config = changed(
+            tmp_path / name / "identifier.yaml",
+            tmp_path / "probe.yaml",
+            prior={"linear_stiffness_log_sd": 1.0},
+        )
+        table = tmp_path / f"{name}.csv"
+        options = ("--config", str(config), "-o", str(table), "--workers", "1")
+        assert main(["batch", str(tmp_path / name), *options]) == 0
+        labelled.append(f"{name}={table}")
     library = tmp_path / "library.yaml"
-    sources = [f"soft/one={folder / 'soft'}", f"stiff/two={folder / 'stiff'}"]
-    code, out, _ = train(capsys, *sources, "--config", config, "-o", library, "--json")
-    answer = json.loads(out)
-    assert code == 0 and answer["contacts"] == 2
-    assert any("soft has a single specimen" in line for line in answer["warnings"])
-    assert load_library(library).geometry == "flat_punch"
+    assert main(["train", *labelled, "--config", str(config), "-o", str(library)]) == 0
+    assert load_library(library).class_names == ("soft", "stiff", UNKNOWN)
     recorded = yaml.safe_load(library.read_text(encoding="utf-8"))["geometry"]
     assert recorded["thickness"] == 0.02 and recorded["area"] == pytest.approx(math.pi * 1e-4)
 
     chosen = changed(config, tmp_path / "chosen.yaml", classifier={"library": str(library)})
-    assert main(["replay", str(folder / "stiff"), "--config", str(chosen), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(tmp_path / "stiff"), "--config", str(chosen), "--json"]) == 0
     (contact,) = json.loads(capsys.readouterr().out)["contacts"]
-    assert contact["label"] == "stiff"
-    assert contact["probabilities"]["stiff"] > 0.7
+    assert contact["label"] == "stiff" and contact["probabilities"]["stiff"] > 0.7
     assert 0.05 < contact["p_value"] <= 1.0
     assert 0.12 < contact["decision_strain"] <= 0.23
     assert 0.2 < contact["decision_time"] < 1.5
 
 
-def test_a_class_that_cannot_be_learned_is_named_with_the_reason(tmp_path, capsys, monkeypatch):
-    good = drawn(np.random.default_rng(0), specimens=6, each=2)
-    none = replace(good.only([]), sources=("there",), skipped={"not converged": 3})
-
-    def read(source, *arguments):
-        return good if source.tissue == "a" else none
-
-    monkeypatch.setattr(labelled, "read_source", read)
-    library = tmp_path / "library.yaml"
-    line = (
-        "skin cannot be learned: none of its contacts has converged (3 not converged); fden "
-        "replay says of there what they lack"
-    )
-    code, out, _ = train(capsys, "a=here", "skin=there", "-o", library, "--json")
-    assert code == 0 and json.loads(out)["warnings"][0] == line
-    code, out, _ = train(capsys, "a=here", "skin=there", "-o", library)
-    assert code == 0 and line in " ".join(out.split())
-    assert load_library(library).class_names == ("a", "b", "unknown")
-    code, _, error = train(capsys, "a=here", "skin=there", "-o", library, "--prior", "skin=0.5")
-    assert code == 1 and f"--prior skin: {line}" in error
-    code, _, error = train(capsys, "skin=there", "-o", library)
-    assert code == 1 and line in error and error.count("\n") == 1
+HEAD = "configuration,converged,g,g_n,alpha,g_sd,g_n_sd,alpha_sd,alpha_source," + ",".join(
+    f"{pair}_correlation" for pair in ("g_g_n", "g_alpha", "g_n_alpha")
+)
+ROW = "one,True,500,8,0.13,50,0.4,0.01,learned,0.5,0,0"
 
 
-def test_prior_of_the_estimator_is_taken_out_of_what_recordings_tell(bags):
-    folder, config = bags
-    parameters = read_parameter_file(config)
-    (contact,) = replay(folder / "soft", parameters).summaries
-    found = read_source(Source.parse(f"soft={folder / 'soft'}"), parameters)
-    prior = np.diag(pipeline_config(parameters).estimator.prior.deviations[:2] ** -2.0)
-    left = np.linalg.inv(contact.estimate.covariance[:2, :2]) - prior
-    np.testing.assert_allclose(found.likelihood.information[0, :2, :2], left, rtol=0.05)
+def test_contacts_are_the_converged_rows(tmp_path):
+    path = written(tmp_path, "\n".join((HEAD, ROW, ROW.replace("True", "False"))))
+    (mean,), (covariance,), is_learned = read_contacts(path)
+    np.testing.assert_allclose(mean, [math.log(500.0), math.log(8.0), 0.13])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.1, 0.05, 0.01])
+    assert covariance[0, 1] == pytest.approx(0.5 * 0.1 * 0.05) and is_learned
+    path = written(tmp_path, "\n".join((HEAD, ROW, ROW.replace("learned", "given"))))
+    assert learn("a", read_contacts(path)).covariance[2, 2] == pytest.approx(0.12**2)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ((ROW.replace("True", "False"),), "none of its 1 contacts has converged"),
+        ((ROW, ROW.replace("one", "two")), "several configurations"),
+        ((ROW.replace("500", ""),), "no table of fden batch"),
+    ],
+)
+def test_table_that_teaches_nothing_is_refused(tmp_path, rows, said):
+    path = written(tmp_path, "\n".join((HEAD, *rows)))
+    assert said in refusal(read_contacts, path)
