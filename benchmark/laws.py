@@ -256,7 +256,7 @@ def _predicted(recording: Recording, live: LiveTissue, heard: float, moment: str
     predictor = live.predictor(now)
     if predictor is None:
         refusal = live.refusal(now)
-        return Predicted(moment, refusal.name if refusal is not None else "NOT_HEARD")
+        return Predicted(moment, refusal.cause.name if refusal is not None else "NOT_HEARD")
     half = 0.5 / _RATE_HZ
     first, last = np.searchsorted(recording.times, [heard + half, heard + AHEAD_S + half])
     times, depths = recording.times[first:last], recording.displacements[first:last]

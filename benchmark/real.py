@@ -128,7 +128,7 @@ def foretell(
     own = dict(parameters or {})
     seen, config = test.seen, pipeline_config(check(test.parameters | own))
     short, state, _ = identify(test, seen, own)
-    memory = TissueMemory(config.geometry)
+    memory = TissueMemory()
     strains = test.displacements[:seen] / test.thickness - short.contact_point
     steps = np.diff(test.times[:seen])
     for step, strain, force in zip(steps, strains[1:], test.forces[1:seen], strict=True):
@@ -137,7 +137,6 @@ def foretell(
         config.geometry,
         short,
         memory,
-        float(test.forces[seen - 1]),
         state.innovation.variance if state.innovation is not None else FORCE_NOISE**2,
         config.estimator.uncertainty,
     )

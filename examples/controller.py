@@ -16,7 +16,7 @@ TARGET, BANDWIDTH, SAFE_STIFFNESS = 0.15, 8.0, 130.0  # N, rad/s, N/m
 class Controller(Node):
     def __init__(self):
         super().__init__("controller")
-        self.feed = TissueFeed(self, "/identifier", on_loss=self.tell, on_change=self.tell)
+        self.feed = TissueFeed(self, "/identifier", on_loss=self.say)
         self.air, self.force = [], 0.0
         self.create_subscription(WrenchStamped, "/force", self.on_force, 100)
         self.command = self.create_publisher(JointState, "/command", 10)
@@ -30,12 +30,12 @@ class Controller(Node):
 
     def control(self):
         known = self.feed.stiffness(time_scale=1.0 / BANDWIDTH)  # None: do not rely on it
-        stiffness = sum(known) if known else SAFE_STIFFNESS  # value + deviation, N/m
+        stiffness = known.value + known.sd if known else SAFE_STIFFNESS  # N/m
         velocity = BANDWIDTH * (TARGET - self.force) / stiffness if len(self.air) == 500 else 0.0
         self.command.publish(JointState(name=["z"], velocity=[max(-0.02, min(velocity, 0.02))]))
 
-    def tell(self, news):
-        self.get_logger().info(f"{self.feed.stiffness() or news}")
+    def say(self, refusal):
+        self.get_logger().info(str(refusal))
 
 
 run_node("controller", Controller)  # until Ctrl-C

@@ -4,14 +4,13 @@
 """Live tissue parameters for a controller: trust a number, or know at once that it cannot be.
 
 >>> feed = TissueFeed(node, "/identifier")                                     # doctest: +SKIP
->>> reading = feed.reading()                                                   # doctest: +SKIP
->>> gain = bandwidth / reading.stiffness(0.1)[0] if reading else safe_gain     # doctest: +SKIP
+>>> known = feed.stiffness()                                                   # doctest: +SKIP
+>>> gain = bandwidth / known.value if known else safe_gain                     # doctest: +SKIP
 """
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,30 +24,27 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-from fden_ros.control import LiveTissue, Prediction, Predictor, Reading, Refusal
-from fden_ros.core.estimation import ParameterSet
+from fden_ros.control import LiveTissue, Prediction, Refusal
 from fden_ros.core.law import Geometry
-from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outputs import TissueState
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
 from fden_ros.ros.plain_node import plain_node
 
-#: What the identifier offers; a feed cannot ask for less.
-OFFERED_DEADLINE = 0.05
-OFFERED_LEASE = 0.2
-#: The estimates are looked at five times per deadline, beside what DDS itself reports.
+#: What the identifier offers; a feed cannot ask for less [s].
+OFFERED_DEADLINE, OFFERED_LEASE = 0.05, 0.2
+#: The age is looked at five times per deadline.
 _CHECKS_PER_DEADLINE = 5
 _SPIN_TIMEOUT = 0.02
 
 
-class TissueFeed:
+class TissueFeed(LiveTissue):
     """The latest estimate with its age; refuses what cannot be relied on.
 
-    Subscribes with a deadline and a liveliness lease, so that DDS reports a frozen, killed or
-    unreachable identifier by itself; whoever asks knows it no later than the deadline, even if no
-    callback could run. Calls from several threads are safe.
+    :meth:`reading`, :meth:`refusal`, :meth:`stiffness` and :meth:`measured` are those of
+    :class:`LiveTissue`. Who calls one learns of a frozen, killed or unreachable identifier no
+    later than the deadline, even if no callback could run; DDS reports it by a liveliness lease.
 
     Parameters
     ----------
@@ -63,14 +59,8 @@ class TissueFeed:
         The geometry itself, instead of a file; what is not known counts by its defaults.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
-    required : ParameterSet
-        What must have converged: G and Gn, or G alone; see :class:`LiveTissue`.
-    change : float
-        `on_change` is called when the apparent stiffness has moved by this part.
     real_time : bool
         False where a bag is played at another pace; see :class:`LiveTissue`.
-    on_change : callable or None
-        Called with a :class:`Reading` when there is one again and when it has changed.
     on_loss : callable or None
         Called with the :class:`Refusal` when there is none to rely on any more.
     on_state : callable or None
@@ -90,10 +80,7 @@ class TissueFeed:
         parameters: str | Path | None = None,
         geometry: Geometry | None = None,
         deadline: float = 0.1,
-        required: ParameterSet = ParameterSet.STIFFNESS,
-        change: float = 0.05,
         real_time: bool = True,
-        on_change: Callable[[Reading], None] | None = None,
         on_loss: Callable[[Refusal], None] | None = None,
         on_state: Callable[[TissueState], None] | None = None,
     ) -> None:
@@ -102,33 +89,22 @@ class TissueFeed:
                 f"deadline is {deadline} s; the identifier promises an estimate every "
                 f"{OFFERED_DEADLINE} s, so it must be at least that"
             )
-        checked = check({})
+        stated = check({})
         if parameters is not None:
-            checked = read_parameter_file(parameters, identifier)
-            geometry = checked.geometry.build()
-        self._knows_geometry = geometry is not None
-        self._node = node
-        self._topic = f"{identifier}/estimate"
-        self._deadline = deadline
-        self._on_state = on_state
-        self._lock = threading.RLock()
-        self._live = LiveTissue(
+            stated = read_parameter_file(parameters, identifier)
+            geometry = stated.geometry.build()
+        super().__init__(
             geometry,
-            uncertainty=uncertainty_of(checked),
+            uncertainty=uncertainty_of(stated),
             deadline=deadline,
-            required=required,
-            change=change,
             real_time=real_time,
-            on_change=on_change,
             on_loss=on_loss,
         )
-        self._promised, self._is_plain = True, False
+        self._node, self._topic, self._on_state = node, f"{identifier}/estimate", on_state
+        self._has_lease, self._is_lease_refused = True, False
         self._subscription = self._subscribe()
-        self._timer = node.create_timer(
-            deadline / _CHECKS_PER_DEADLINE,
-            self._check,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(deadline / _CHECKS_PER_DEADLINE, self._look, clock=steady)
 
     def destroy(self) -> None:
         """Stop listening."""
@@ -158,35 +134,6 @@ class TissueFeed:
                 stop.set()
                 thread.join()
 
-    # What a controller asks
-
-    def reading(self) -> Reading | None:
-        """Return the latest estimate if it may be relied on, else None."""
-        with self._lock:
-            return self._live.reading(time.monotonic())
-
-    def refusal(self) -> Refusal | None:
-        """Return why there is no estimate to rely on; None if there is one."""
-        with self._lock:
-            return self._live.refusal(time.monotonic())
-
-    def stiffness(self, time_scale: float = 0.1) -> tuple[float, float] | None:
-        """Return dF/dd for a motion of `time_scale` seconds and its deviation [N/m], or None.
-
-        Of tissue of another law, MODEL_MISMATCH, it is that law's.
-        """
-        with self._lock:
-            return self._live.stiffness(time.monotonic(), time_scale)
-
-    def measured(self) -> BothWays:
-        """Return the slopes of force over displacement of the newest loading and unloading.
-
-        As they are measured: no law, and no convergence, touch or time scale is asked for; each
-        has its deviation, depth and stamp. None of both while no message comes in time.
-        """
-        with self._lock:
-            return self._live.measured(time.monotonic())
-
     def predict_force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction | None:
         """Return the force of a planned motion, or None if that cannot be known.
 
@@ -200,43 +147,21 @@ class TissueFeed:
         Raises
         ------
         InputError
-            If the feed was given no geometry.
+            If the feed was given no geometry, or the plan has no shape.
         """
-        predictor = self._predictor()
+        predictor = self.predictor()
         return None if predictor is None else predictor.force(times, displacements)
-
-    @property
-    def restarts(self) -> int:
-        """How often the identifier began anew: its memory of the tissue is gone then."""
-        with self._lock:
-            return self._live.restarts
-
-    # Inside
-
-    def _predictor(self) -> Predictor | None:
-        if not self._knows_geometry:
-            raise InputError(
-                "a prediction needs the probe's geometry: give the feed parameters=, the "
-                "identifier's file, or geometry="
-            )
-        with self._lock:
-            return self._live.predictor(time.monotonic())
 
     def _subscribe(self) -> Any:
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
         )
-        if not self._promised:
-            return self._node.create_subscription(
-                TissueEstimate, self._topic, self._on_estimate, qos
-            )
-        qos.deadline = Duration(seconds=self._deadline)
-        qos.liveliness = LivelinessPolicy.AUTOMATIC
-        qos.liveliness_lease_duration = Duration(seconds=max(self._deadline, OFFERED_LEASE))
+        if self._has_lease:
+            qos.liveliness = LivelinessPolicy.AUTOMATIC
+            qos.liveliness_lease_duration = Duration(seconds=max(self.deadline, OFFERED_LEASE))
         events = SubscriptionEventCallbacks(
-            deadline=lambda _: self._on_miss(),
-            liveliness=lambda event: None if event.alive_count else self._on_loss(),
-            incompatible_qos=lambda _: self._on_incompatible(),
+            liveliness=lambda event: self.count_publishers(event.alive_count),
+            incompatible_qos=self._on_incompatible,
         )
         return self._node.create_subscription(
             TissueEstimate, self._topic, self._on_estimate, qos, event_callbacks=events
@@ -244,37 +169,17 @@ class TissueFeed:
 
     def _on_estimate(self, message: TissueEstimate) -> None:
         state = state_of(message)
-        with self._lock:
-            self._live.add(state, time.monotonic())
+        self.add(state)
         if self._on_state is not None:
             self._on_state(state)
 
-    def _on_miss(self) -> None:
-        with self._lock:
-            self._live.miss(time.monotonic())
+    def _on_incompatible(self, event: object) -> None:
+        self._is_lease_refused = True
 
-    def _on_loss(self) -> None:
-        with self._lock:
-            self._live.lose(time.monotonic())
-
-    def _on_incompatible(self) -> None:
-        self._promised = False
-
-    def _check(self) -> None:
-        if not self._promised and not self._is_plain:
-            self._listen_without_promise()
-        with self._lock:
-            self._live.check(time.monotonic())
-
-    def _listen_without_promise(self) -> None:
-        """Hear an estimate whose publisher promises a longer deadline or none.
-
-        The ages are watched as ever.
-        """
-        self._is_plain = True
-        self._node.get_logger().warning(
-            f"{self._topic} is published without a deadline as short as {self._deadline:g} s: "
-            "its age alone is watched"
-        )
-        self._node.destroy_subscription(self._subscription)
-        self._subscription = self._subscribe()
+    def _look(self) -> None:
+        if self._is_lease_refused and self._has_lease:
+            # As from a bag that is played: the age alone is watched.
+            self._has_lease = False
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = self._subscribe()
+        self.check()

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from output_helpers import ESTIMATE
 from property_helpers import first
 
-from fden_ros.control import ForceControlConfig, ForceController, Gains, LiveTissue, Reading
+from fden_ros.control import ForceControlConfig, ForceController, Gains, LiveTissue
+from fden_ros.control.force_control import GUARDED_STIFFENING
 from fden_ros.core.arrays import Array
 from fden_ros.core.law import apparent_stiffness_factor
-from fden_ros.core.outputs import ApparentStiffness, Flag, Output, Phase, Status, TissueState
+from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
@@ -100,13 +100,14 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
             # The controller's own tare, in the air.
             air.append(mean)
         else:
-            reading = live.reading(rig.time) if scheduled else None
+            found = live.stiffness(1.0 / controller.config.bandwidth, rig.time)
+            known = found[:2] if found is not None else None
             tared = mean - float(np.mean(air))
-            velocity = controller.step(rig.time, tared, depth, target, reading)
+            velocity = controller.step(rig.time, tared, depth, target, known)
         rig.command(Command.VELOCITY, velocity)
         refusal = live.refusal(rig.time)
-        if refusal is not None and refusals[-1] != refusal.name:
-            refusals.append(refusal.name)
+        if refusal is not None and refusals[-1] != refusal.cause.name:
+            refusals.append(refusal.cause.name)
         kept.append((rig.time, rig.force, float(controller.gains is Gains.LIVE)))
     times, found, lives = np.array(kept).T
     during = (times >= STEP) & (times < BACK)
@@ -138,30 +139,16 @@ MIDDLE = 4.0 / 9.0
 CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
 
 
-def reading(stiffness: float, sd: float = 0.0) -> Reading:
-    state = TissueState(
-        stamp_ns=0,
-        status=Status.CONVERGED,
-        flags=Flag.NONE,
-        site_id=1,
-        contact_id=1,
-        phase=Phase.LOADING,
-        estimate=ESTIMATE,
-        apparent_stiffness=ApparentStiffness(stiffness, sd, 0.1),
-    )
-    return Reading(state, ESTIMATE, 0.0)
-
-
 def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness():
     controller = ForceController(CONFIG)
-    velocity = controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0, 10.0))
+    velocity = controller.step(0.0, 0.30, 0.0, 0.35, (40.0, 10.0))
     assert velocity == pytest.approx(10.0 * 0.05 / 50.0)
     assert controller.gains is Gains.LIVE
 
 
 def test_without_an_estimate_the_safe_gains_are_used_at_once():
     controller = ForceController(CONFIG)
-    controller.step(0.0, 0.30, 0.0, 0.35, reading(40.0))
+    controller.step(0.0, 0.30, 0.0, 0.35, (40.0, 0.0))
     velocity = controller.step(0.005, 0.30, 0.0, 0.35, None)
     assert controller.gains is Gains.SAFE
     assert velocity == pytest.approx(10.0 * 0.05 / 100.0)
@@ -169,14 +156,14 @@ def test_without_an_estimate_the_safe_gains_are_used_at_once():
 
 def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster():
     controller = ForceController(CONFIG)
-    before = controller.step(0.0, 0.30, 0.0, 0.35, reading(300.0))
+    before = controller.step(0.0, 0.30, 0.0, 0.35, (300.0, 0.0))
     assert controller.step(0.005, 0.30, 0.0, 0.35, None) == pytest.approx(before)
 
 
 def test_the_rate_leaves_room_below_the_limit():
     controller = ForceController(CONFIG)
-    velocity = controller.step(0.0, 0.9, 0.0, 5.0, reading(100.0))
-    guard = CONFIG.guarded_stiffening * CONFIG.reaction_time
+    velocity = controller.step(0.0, 0.9, 0.0, 5.0, (100.0, 0.0))
+    guard = GUARDED_STIFFENING * CONFIG.reaction_time
     assert velocity == pytest.approx((1.0 - 0.9) / guard / 100.0)
 
 
@@ -188,7 +175,7 @@ def test_a_measured_stiffening_counts_at_once_and_noise_does_not():
         depth = 1e-5 * n
         force = 0.2 + 40.0 * depth + (360.0 * (depth - 4e-4) if n > 40 else 0.0)
         force += 1e-3 * generator.standard_normal()
-        controller.step(0.005 * n, force, depth, 0.5, reading(40.0))
+        controller.step(0.005 * n, force, depth, 0.5, (40.0, 0.0))
         stiffness.append(controller.stiffness)
     assert stiffness[:41] == pytest.approx([40.0] * 41)
     assert max(stiffness[41:]) > 120.0

@@ -14,7 +14,7 @@ from command_helpers import answer, fden
 from pipeline_helpers import LIVER_PARAMETERS, begun
 
 from benchmark.trial import fed, through
-from fden_ros.control import LiveTissue, Refusal
+from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check, pipeline_config
@@ -162,7 +162,7 @@ def test_without_a_stated_geometry_nothing_is_converged(parameters, example, onc
     live = LiveTissue()
     state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
     live.add(state, 0.0)
-    assert live.refusal(0.0) is Refusal.REJECTED
+    assert live.refusal(0.0).cause is Cause.REJECTED
 
 
 def test_every_output_says_that_the_geometry_is_not_stated(capsys, tmp_path, once):

@@ -7,11 +7,11 @@ Free of ROS, like :mod:`fden_ros.core`.
 """
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
-from fden_ros.control.live_tissue import LiveTissue, Reading, Refusal
-from fden_ros.control.prediction import Prediction, Predictor
-from fden_ros.control.tissue_memory import TissueMemory
+from fden_ros.control.live_tissue import Cause, LiveTissue, Reading, Refusal, Stiffness
+from fden_ros.control.prediction import Prediction, Predictor, TissueMemory
 
 __all__ = [
+    "Cause",
     "ForceControlConfig",
     "ForceController",
     "Gains",
@@ -20,5 +20,6 @@ __all__ = [
     "Predictor",
     "Reading",
     "Refusal",
+    "Stiffness",
     "TissueMemory",
 ]

@@ -11,141 +11,142 @@ from __future__ import annotations
 
 import enum
 import math
-from collections import deque
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import median
+from typing import NamedTuple
 
-from fden_ros.control.prediction import Predictor
-from fden_ros.control.tissue_memory import TissueMemory
-from fden_ros.core.estimation import (
-    NOTHING_UNKNOWN,
-    Estimate,
-    OtherLaw,
-    ParameterSet,
-    Uncertainty,
-    other_along,
-)
-from fden_ros.core.law import SHORTEST_STEP, FlatPunch, Geometry
+from fden_ros.control.prediction import Predictor, TissueMemory
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
+from fden_ros.core.law import SHORTEST_STEP, Geometry
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
 from fden_ros.core.streams import NANOSECONDS
+from fden_ros.errors import InputError
 
-#: With one of these the numbers may be wrong in a way that their deviations do not tell.
+#: The numbers of the law may be wrong by more than their deviations; a measured slope stands.
+LAW_FLAGS = (
+    Flag.MODEL_MISMATCH
+    | Flag.AT_PRIOR_LIMIT
+    | Flag.RIG_PRIOR_CONFLICT
+    | Flag.ALPHA_PRIOR_CONFLICT
+    | Flag.GEOMETRY_UNSTATED
+)
+#: With one of these nothing is relied on.
 REFUSED_FLAGS = (
-    Flag.GAP
-    | Flag.MODEL_MISMATCH
+    LAW_FLAGS
+    | Flag.GAP
     | Flag.TOUCH_NOT_OBSERVED
     | Flag.TISSUE_CHANGED
     | Flag.SATURATED
     | Flag.ESTIMATION_FAILED
-    | Flag.AT_PRIOR_LIMIT
     | Flag.FORCE_DRIFTED
-    | Flag.RIG_PRIOR_CONFLICT
-    | Flag.ALPHA_PRIOR_CONFLICT
     | WITHHELD
 )
+#: N/m is stated from this number of its standard deviations on, as the measured slope is.
+_STATED_FROM = 4.0
 #: The stress between two estimates is not known where they are farther apart than this time [s]
-#: and than this multiple of the usual step [1], the median of the last steps: slow sensors leave
-#: no gap, an estimate that was not heard does.
-_LONGEST_STEP = 0.05
-_LONGEST_STEP_RATIO, _USUAL_STEPS = 1.5, 9
+#: and than this multiple of the step before [1]: slow sensors leave no gap, an estimate that was
+#: not heard does.
+_LONGEST_STEP, _LONGEST_STEP_RATIO = 0.05, 1.5
 #: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
-#: says.
+#: says: where it is off by a fifth, pressed tissue would seem free.
 _UNLOADED_PART = 0.05
-#: The force contradicts what was known where three estimates in a row are surprised by more than
-#: 20 % of what was predicted and by five deviations.
-_SURPRISING_PART = 0.2
-_SURPRISING_NIS = 25.0
-_SURPRISES = 3
+#: The force contradicts what was known where three estimates in a row miss it by more than 20 %
+#: of what was predicted and by five deviations.
+_MISSED_PART, _MISSED_NIS, _MISSES = 0.2, 25.0, 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
 _DELAY_LEAK = 1e-4
 #: An identifier without input says so once a second; without that for this time it is lost [s].
 _STALE_PATIENCE = 3.0
 
 
-class Refusal(enum.Enum):
+class Cause(enum.Enum):
     """Why there is no estimate to rely on."""
 
     NEVER_HEARD = "no estimate has come yet: is the identifier active?"
     LOST = "no estimate within the deadline: the identifier is frozen, killed or unreachable"
     LATE = "the estimates come later than the deadline: the identifier is overloaded"
     STALE = "the identifier has no input: are force and displacement published? is the bag over?"
+    TWO_PUBLISHERS = "two nodes publish the estimate: end one, or give it another name"
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
-    NOT_OBSERVABLE = "G is known, Gn is not observable: ask for G alone, or press deeper"
+    NOT_OBSERVABLE = "G is known, Gn is not observable: press deeper; stiffness() gives N/m"
     CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
 
-#: In contact, but for what is late in the air.
-_PRESSING = (Status.CONVERGING, Status.CONVERGED, Status.LATE)
+@dataclass(frozen=True)
+class Refusal:
+    """Why there is no estimate to rely on, with the flags that the estimate carries."""
+
+    cause: Cause
+    flags: Flag = Flag.NONE  #: those that make an estimate unreliable
+
+    def __str__(self) -> str:
+        return f"{self.cause.value} ({', '.join(self.names)})" if self.flags else self.cause.value
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the flags."""
+        return tuple(str(flag.name) for flag in Flag if flag & self.flags)
+
+
+class Stiffness(NamedTuple):
+    """dF/dd, by the law or as it was measured."""
+
+    value: float  #: [N/m]
+    sd: float  #: its standard deviation [N/m]
+    #: Of a measured slope: how far below the surface it was measured [m]; None: it is N/m of the
+    #: present, by the law.
+    depth: float | None = None
+
 
 _BY_STATUS = {
-    Status.UNKNOWN: Refusal.UNKNOWN,
-    Status.STALE: Refusal.STALE,
-    Status.NO_CONTACT: Refusal.NO_CONTACT,
+    Status.UNKNOWN: Cause.UNKNOWN,
+    Status.STALE: Cause.STALE,
+    Status.NO_CONTACT: Cause.NO_CONTACT,
 }
 #: With these there is no state of this moment.
-_WITHOUT_STATE = (Refusal.NEVER_HEARD, Refusal.LOST, Refusal.LATE, Refusal.STALE)
+_WITHOUT_STATE = (Cause.NEVER_HEARD, Cause.LOST, Cause.LATE, Cause.STALE, Cause.TWO_PUBLISHERS)
+#: With these N/m or a measured slope may be known.
+_WITH_STIFFNESS = (None, Cause.NOT_CONVERGED, Cause.NOT_OBSERVABLE, Cause.REJECTED)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """An estimate that may be relied on at the time it was asked for.
-
-    Of its parameters those that were required, and whatever else is in ``estimate.known``.
-    """
+    """An estimate that may be relied on at the time it was requested: G and Gn are known."""
 
     state: TissueState
     estimate: Estimate
     age: float  #: [s] since it arrived, and how much later than usual it did
 
-    @property
-    def linear_stiffness(self) -> float:
-        """G [Pa s^alpha]."""
-        return self.estimate.linear_stiffness
-
-    @property
-    def nonlinear_stiffness(self) -> float:
-        """Gn [1]."""
-        return self.estimate.nonlinear_stiffness
-
-    def stiffness(self, time_scale: float) -> tuple[float, float]:
-        """Return dF/dd and its deviation [N/m] for a small motion of `time_scale` seconds."""
-        apparent = self.state.apparent_stiffness
-        assert apparent is not None
-        ratio = (time_scale / apparent.time_scale) ** -self.estimate.fractional_order
-        return apparent.value * ratio, apparent.sd * ratio
-
-    @property
-    def measured(self) -> BothWays:
-        """Slopes of force over displacement of the newest loading and unloading, by no law."""
-        return self.state.measured
-
 
 class LiveTissue:
-    """What is known now, from estimates as they arrive.
+    """What is known now, from estimates as they arrive; calls from several threads are safe.
+
+    `now` is the time by a clock that never jumps [s]; without it by ``time.monotonic``.
 
     Parameters
     ----------
-    geometry : Geometry
+    geometry : Geometry or None
         As the identifier's: for forces and displacements of predictions.
     uncertainty : Uncertainty
         As the identifier's: what is not known of the rig counts in predictions.
     deadline : float
         An estimate older than this is refused [s].
-    required : ParameterSet
-        What must have converged: by default G and Gn. G alone is enough for the stiffness about
-        the present strain; predictions need both.
-    change : float
-        `on_change` is called when the apparent stiffness has moved by more than this part.
     real_time : bool
-        The stamps advance with the clock; false for bags played at another pace: then an estimate
-        that was held up on its way is not told from a fresh one.
-    on_change, on_loss : callable or None
-        Called with a :class:`Reading`; with the :class:`Refusal`, once per loss.
+        The stamps advance with the clock. With false, for bags played at another pace, an estimate
+        that was held up on its way looks like a fresh one.
+    on_loss : callable or None
+        Called with the :class:`Refusal` when there is no estimate to rely on any more.
+
+    Attributes
+    ----------
+    restarts : int
+        How often the identifier began anew: its memory of the tissue is gone then.
     """
 
     def __init__(
@@ -154,182 +155,160 @@ class LiveTissue:
         *,
         uncertainty: Uncertainty = NOTHING_UNKNOWN,
         deadline: float = 0.1,
-        required: ParameterSet = ParameterSet.STIFFNESS,
-        change: float = 0.05,
         real_time: bool = True,
-        on_change: Callable[[Reading], None] | None = None,
         on_loss: Callable[[Refusal], None] | None = None,
     ) -> None:
-        self.geometry = geometry if geometry is not None else FlatPunch(area=1e-4, thickness=0.02)
-        self._uncertainty = uncertainty
-        self.deadline = deadline
-        self.on_change = on_change
-        self.on_loss = on_loss
-        self.restarts = 0
-        self._required = required
-        self._change = change
-        self._real_time = real_time
+        self.deadline, self.restarts = deadline, 0
+        self._geometry, self._uncertainty = geometry, uncertainty
+        self._real_time, self._on_loss = real_time, on_loss
+        self._lock = threading.RLock()
         self._state: TissueState | None = None
         self._arrival = -math.inf
-        self._lag = 0.0
-        self._least_delay = math.inf
-        self._alive = True
-        self._reported: Reading | None = None
+        self._lag, self._least_delay = 0.0, math.inf
+        self._publishers = 1
+        self._is_relied_on = False
         self._forget()
 
     def _forget(self) -> None:
-        self._memory = TissueMemory(self.geometry)
-        self._memory_site: int | None = None
-        self._memory_ns = 0
-        self._memory_whole = False
-        self._steps: deque[float] = deque(maxlen=_USUAL_STEPS)
+        self._memory, self._memory_site = TissueMemory(), -1
+        self._memory_ns, self._step = 0, 0.0
+        self._is_memory_whole = False
         self._peak_stress = 0.0
-        self._surprises = 0
-        self._contradicted: int | None = None
+        self._misses = 0
+        self._contradicted = -1
 
     # Input
 
-    def add(self, state: TissueState, now: float) -> None:
-        """Take an estimate that arrived at `now` [s], on a clock that never jumps."""
-        before = self._state
-        if before is not None and _started_again(before, state):
-            self.restarts += 1
-            self._least_delay = math.inf
-            self._forget()
-        self._alive = True
-        self._watch_delay(state, now)
-        self._state, self._arrival = state, now
-        if state.status is not Status.STALE:
-            self._remember(state)
-            self._compare(state)
-        self.check(now)
+    def add(self, state: TissueState, now: float | None = None) -> None:
+        """Take an estimate that arrived at `now`."""
+        now = _time(now)
+        with self._lock:
+            if self._state is not None and _started_again(self._state, state):
+                self.restarts += 1
+                self._least_delay = math.inf
+                self._forget()
+            self._watch_delay(state, now)
+            self._state, self._arrival = state, now
+            if state.status is not Status.STALE:
+                self._remember(state)
+                self._compare(state)
+            self.check(now)
 
-    def miss(self, now: float) -> None:
-        """Take note that no estimate came within the deadline."""
-        if self._state is not None and self._state.status is not Status.STALE:
-            self._alive = False
-        self.check(now)
+    def count_publishers(self, alive: int, now: float | None = None) -> None:
+        """Take note of how many nodes publish the estimate; 0: the identifier is gone."""
+        with self._lock:
+            self._publishers = alive
+            self.check(now)
 
-    def lose(self, now: float) -> None:
-        """Take note that the identifier is gone: until the next estimate."""
-        self._alive = False
-        self.check(now)
-
-    def check(self, now: float) -> None:
-        """Call back where something has changed; to be called at least once per deadline."""
-        reading = self.reading(now)
-        before = self._reported
-        if reading is None:
-            self._reported, refusal = None, self.refusal(now)
-            if before is not None and self.on_loss is not None and refusal is not None:
-                self.on_loss(refusal)
-        elif before is None or self._has_changed(before, reading):
-            self._reported = reading
-            if self.on_change is not None:
-                self.on_change(reading)
+    def check(self, now: float | None = None) -> None:
+        """Call back after a loss; to be called at least once per deadline."""
+        with self._lock:
+            before, refusal = self._is_relied_on, self.refusal(now)
+            self._is_relied_on = refusal is None
+            if before and refusal is not None and self._on_loss is not None:
+                self._on_loss(refusal)
 
     # Output
 
-    def refusal(self, now: float) -> Refusal | None:
-        """Return why there is no estimate to rely on, or None if there is one."""
-        refusal = self._without_estimate(now, REFUSED_FLAGS)
-        if refusal is not None:
-            return refusal
-        state = self._state
-        assert state is not None
-        if state.estimate is None or state.apparent_stiffness is None or state.signals is None:
-            return Refusal.NOT_CONVERGED
-        if not self._is_known(state):
-            is_linear = (
-                ParameterSet.LINEAR_STIFFNESS in state.estimate.known
-                and ParameterSet.NONLINEAR_STIFFNESS not in state.estimate.observable
-            )
-            return Refusal.NOT_OBSERVABLE if is_linear else Refusal.NOT_CONVERGED
-        return Refusal.CONTRADICTED if self._contradicted == state.contact_id else None
+    def refusal(self, now: float | None = None) -> Refusal | None:
+        """Return why there is no estimate to rely on; None if there is one."""
+        with self._lock:
+            state, cause = self._state, self._cause(_time(now))
+            flags = state.flags & REFUSED_FLAGS if state is not None else Flag.NONE
+            return Refusal(cause, flags) if cause is not None else None
 
-    def _without_estimate(self, now: float, refused: Flag) -> Refusal | None:
-        """Return why nothing of the present is to be relied on, whatever the estimate is."""
-        state = self._state
-        if state is None:
-            return Refusal.NEVER_HEARD
-        is_stale = state.status is Status.STALE
-        patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
-        if not self._alive or now - self._arrival > patience:
-            return Refusal.LOST
-        if state.status is Status.LATE or max(self._lag, state.lag) > self.deadline:
-            return Refusal.LATE
-        if state.flags & refused:
-            return Refusal.REJECTED
-        return _BY_STATUS.get(state.status)
+    def reading(self, now: float | None = None) -> Reading | None:
+        """Return the latest estimate if it may be relied on, else None."""
+        now = _time(now)
+        with self._lock:
+            state = self._state
+            if state is None or state.estimate is None or self._cause(now) is not None:
+                return None
+            age = max(now - self._arrival, 0.0) + max(self._lag, state.lag)
+            return Reading(state, state.estimate, age)
 
-    def reading(self, now: float) -> Reading | None:
-        """Return the latest estimate if it may be relied on."""
-        state = self._state
-        if self.refusal(now) is not None or state is None or state.estimate is None:
-            return None
-        age = max(now - self._arrival, 0.0) + max(self._lag, state.lag)
-        return Reading(state, state.estimate, age)
+    def stiffness(self, time_scale: float = 0.1, now: float | None = None) -> Stiffness | None:
+        """Return dF/dd for a small motion of `time_scale` [s], or None.
 
-    def stiffness(self, now: float, time_scale: float) -> tuple[float, float] | None:
-        """Return dF/dd and its deviation [N/m] for a small motion of `time_scale` [s], or None.
-
-        Of tissue of another law, MODEL_MISMATCH, it is that law's.
+        N/m by the law where that is known, else the slope of the newest loading where that is.
         """
-        reading, other = self.reading(now), self._other_law(now)
-        if reading is not None:
-            return reading.stiffness(time_scale)
-        apparent = self._state.apparent_stiffness if self._state is not None else None
-        if apparent is None or other is None:
-            return None
-        law = other_along(self.geometry, other, other.mean)
-        ratio = law.relaxation(time_scale) / law.relaxation(apparent.time_scale)
-        return apparent.value * ratio, apparent.sd * ratio
+        with self._lock:
+            state, cause = self._state, self._cause(_time(now))
+            if state is None or cause not in _WITH_STIFFNESS:
+                return None
+            refused = state.flags & REFUSED_FLAGS
+            law, estimate, slope = (
+                *(state.apparent_stiffness, state.estimate, state.measured.loading),
+            )
+            is_stated = law is not None and law.value > _STATED_FROM * law.sd
+            if is_stated and not refused and law is not None and estimate is not None:
+                ratio = (time_scale / law.time_scale) ** -estimate.fractional_order
+                return Stiffness(law.value * ratio, law.sd * ratio)
+            if slope is None or refused & ~LAW_FLAGS:
+                return None
+            return Stiffness(slope.value, slope.sd, slope.depth)
 
-    def measured(self, now: float) -> BothWays:
-        """Return the newest measured slopes: they need no estimate, but an identifier in time."""
-        state = self._state
-        if state is None or self.refusal(now) in _WITHOUT_STATE:
-            return NOT_MEASURED
-        return state.measured
+    def measured(self, now: float | None = None) -> BothWays:
+        """Return the slopes of force over displacement of the newest loading and unloading.
 
-    def predictor(self, now: float) -> Predictor | None:
+        As they are measured: no law, convergence or touch is needed. None of both while no
+        estimate comes in time.
+        """
+        with self._lock:
+            if self._state is None or self._cause(_time(now)) in _WITHOUT_STATE:
+                return NOT_MEASURED
+            return self._state.measured
+
+    def predictor(self, now: float | None = None) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
 
-        None if there is no estimate to rely on, if Gn is not known, which says how the tissue
-        stiffens, or if its contact was not heard from the touch on: the memory is not known then.
-        Tissue of another law, MODEL_MISMATCH, is predicted by that.
+        None if there is no estimate to rely on, or if its contact was not heard from the touch
+        on: then the memory is not known.
+
+        Raises
+        ------
+        InputError
+            If there is no geometry.
         """
-        state = self._state
-        if state is None or state.estimate is None or state.signals is None:
-            return None
-        is_known = self.refusal(now) is None and state.estimate.converged
-        if not self._memory_whole or not (is_known or self._other_law(now)):
-            return None
-        return Predictor(
-            self.geometry,
-            state.estimate,
-            self._memory.copy(),
-            state.signals.stress,
-            state.innovation.variance if state.innovation is not None else 0.0,
-            self._uncertainty,
-        )
+        if self._geometry is None:
+            raise InputError(
+                "a prediction needs the probe's geometry: give parameters=, the identifier's "
+                "file, or geometry="
+            )
+        with self._lock:
+            reading = self.reading(now)
+            if reading is None or not self._is_memory_whole:
+                return None
+            innovation = reading.state.innovation
+            return Predictor(
+                self._geometry,
+                reading.estimate,
+                self._memory.copy(),
+                innovation.variance if innovation is not None else 0.0,
+                self._uncertainty,
+            )
 
     # Inside
 
-    def _other_law(self, now: float) -> OtherLaw | None:
-        """Return the other law that the tissue has, where nothing else is against the estimate."""
+    def _cause(self, now: float) -> Cause | None:
         state = self._state
-        if state is None or state.estimate is None or not state.flags & Flag.MODEL_MISMATCH:
-            return None
-        if self._without_estimate(now, REFUSED_FLAGS & ~Flag.MODEL_MISMATCH) is not None:
-            return None
-        return state.estimate.other_law
-
-    def _is_known(self, state: TissueState) -> bool:
-        """Whether what is required has converged."""
-        if ParameterSet.STIFFNESS in self._required and state.status is not Status.CONVERGED:
-            return False
-        return state.estimate is not None and self._required in state.estimate.known
+        if self._publishers > 1:
+            return Cause.TWO_PUBLISHERS
+        if state is None:
+            return Cause.NEVER_HEARD
+        is_stale = state.status is Status.STALE
+        patience = max(self.deadline, _STALE_PATIENCE) if is_stale else self.deadline
+        if not self._publishers or now - self._arrival > patience:
+            return Cause.LOST
+        if state.status is Status.LATE or max(self._lag, state.lag) > self.deadline:
+            return Cause.LATE
+        if state.flags & REFUSED_FLAGS:
+            return Cause.REJECTED
+        if state.status in _BY_STATUS:
+            return _BY_STATUS[state.status]
+        if not _is_known(state):
+            return Cause.NOT_OBSERVABLE if _is_linear(state) else Cause.NOT_CONVERGED
+        return Cause.CONTRADICTED if self._contradicted == state.contact_id else None
 
     def _watch_delay(self, state: TissueState, now: float) -> None:
         """Measure how much later than the quickest one an estimate has come."""
@@ -341,71 +320,74 @@ class LiveTissue:
         self._lag = delay - self._least_delay
 
     def _compare(self, state: TissueState) -> None:
-        """Take note when a converged estimate is surprised several times in a row."""
-        innovation = state.innovation
-        if not self._is_known(state) or innovation is None:
-            self._surprises = 0
-            return
-        predicted = innovation.predicted_stress
-        if predicted is None:
-            predicted = innovation.predicted_fractional_stress
-        surprised = (
-            abs(innovation.innovation) > _SURPRISING_PART * abs(predicted)
-            and innovation.normalized_squared > _SURPRISING_NIS
-        )
-        self._surprises = self._surprises + 1 if surprised else 0
-        if self._surprises >= _SURPRISES:
+        """Take note when the force misses what a converged estimate predicts, several times."""
+        innovation, is_missed = state.innovation, False
+        if innovation is not None and _is_known(state):
+            predicted = innovation.predicted_stress
+            if predicted is None:
+                predicted = innovation.predicted_fractional_stress
+            is_large = abs(innovation.innovation) > _MISSED_PART * abs(predicted)
+            is_missed = is_large and innovation.normalized_squared > _MISSED_NIS
+        self._misses = self._misses + 1 if is_missed else 0
+        if self._misses >= _MISSES:
             self._contradicted = state.contact_id
-
-    def _has_changed(self, old: Reading, new: Reading) -> bool:
-        if old.state.contact_id != new.state.contact_id:
-            return True
-        before, after = old.stiffness(0.1)[0], new.stiffness(0.1)[0]
-        return abs(after - before) > self._change * before
 
     def _remember(self, state: TissueState) -> None:
         """Follow the stress of the present site; nothing touches it between contacts."""
+        is_air = _is_in_air(state)
         if state.site_id != self._memory_site:
             # Heard from the air on, nothing of a new site is missed.
-            heard = self._memory_site is not None or _is_in_air(state)
-            self._memory = TissueMemory(self.geometry)
-            self._memory_site = state.site_id
-            self._memory_whole = heard and (
-                state.site_id == 0 or self._memory_ns > 0 or state.contact_id == 0
-            )
-            if self._memory_ns == 0:
+            is_first = self._memory_site < 0
+            self._is_memory_whole = is_air if is_first else True
+            self._memory, self._memory_site = TissueMemory(), state.site_id
+            if is_first:
                 self._memory_ns = state.stamp_ns
                 return
         step = (state.stamp_ns - self._memory_ns) / NANOSECONDS
         if step < SHORTEST_STEP:
             return
-        in_contact = state.status in _PRESSING and not _is_in_air(state)
-        if self._is_gap(step) and (in_contact or self._memory.strain > 0.0):
-            self._memory_whole = False
-        self._steps.append(step)
-        signals, estimate = state.signals, state.estimate
-        is_free = signals is None or not in_contact
-        stress = signals.stress if signals is not None else 0.0
-        self._peak_stress = max(self._peak_stress, stress) if in_contact else 0.0
-        if signals is not None and estimate is not None and self._is_unloaded(stress):
-            is_free |= self._memory.is_free(step, signals.strain, estimate)
-        if signals is None or is_free:
+        in_contact = not is_air and state.status is not Status.UNKNOWN
+        is_gap = step > max(_LONGEST_STEP, _LONGEST_STEP_RATIO * self._step)
+        if is_gap and (in_contact or self._memory.strain > 0.0):
+            self._is_memory_whole = False
+        self._step, self._memory_ns = step, state.stamp_ns
+        signals = state.signals
+        if signals is None or not in_contact:
+            self._peak_stress = 0.0
+            self._memory.rest(step)
+            return
+        self._peak_stress = max(self._peak_stress, signals.stress)
+        is_unloaded = signals.stress <= _UNLOADED_PART * self._peak_stress
+        estimate = state.estimate if is_unloaded else None
+        if estimate is not None and self._memory.is_free(step, signals.strain, estimate):
             self._memory.rest(step)
         else:
             self._memory.press(step, signals.strain, signals.stress)
-        self._memory_ns = state.stamp_ns
 
-    def _is_unloaded(self, stress: float) -> bool:
-        """Whether a stress [Pa] is so small that the tissue may have left the probe.
 
-        The law alone does not say so: where it is off by a fifth, pressed tissue would seem free.
-        """
-        return stress <= _UNLOADED_PART * self._peak_stress
+def _time(now: float | None) -> float:
+    return time.monotonic() if now is None else now
 
-    def _is_gap(self, step: float) -> bool:
-        """Whether an estimate may have been missed in the `step` seconds since the last."""
-        usual = median(self._steps) if self._steps else 0.0
-        return step > max(_LONGEST_STEP, _LONGEST_STEP_RATIO * usual)
+
+def _is_known(state: TissueState) -> bool:
+    """Return whether G and Gn have converged, with what a reading holds."""
+    return (
+        state.status is Status.CONVERGED
+        and state.estimate is not None
+        and state.estimate.converged
+        and state.apparent_stiffness is not None
+        and state.signals is not None
+    )
+
+
+def _is_linear(state: TissueState) -> bool:
+    """Return whether G is known, and Gn not observable."""
+    estimate = state.estimate
+    return (
+        estimate is not None
+        and ParameterSet.LINEAR_STIFFNESS in estimate.known
+        and ParameterSet.NONLINEAR_STIFFNESS not in estimate.observable
+    )
 
 
 def _is_in_air(state: TissueState) -> bool:

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
-from fden_ros.control import ForceControlConfig, ForceController, Refusal
+from fden_ros.control import Cause, ForceControlConfig, ForceController
 from fden_ros.errors import InputError
 from fden_ros.nodes.planned_presses import PlannedPresses
 from fden_ros.nodes.running import declared, run_node
@@ -84,7 +84,7 @@ class ForceControllerNode(Node):
             self,
             self.resolve_topic_name(str(values["identifier"])),
             deadline=values["deadline"],
-            on_loss=lambda why: self.get_logger().info(f"safe gains: {why.value}"),
+            on_loss=lambda why: self.get_logger().info(f"safe gains: {why}"),
         )
         self._forces: list[float] = []
         self._air: list[float] = []
@@ -133,8 +133,9 @@ class ForceControllerNode(Node):
             self._send(velocity=self._planned.velocity(now, force, self._depth, self._place))
             return
         self._follow_program(now)
-        reading = self._feed.reading() if self._values["scheduled"] else None
-        velocity = self._controller.step(now, force, self._depth, self._target, reading)
+        found = self._feed.stiffness(1.0 / self._values["bandwidth"])
+        known = found[:2] if found is not None else None
+        velocity = self._controller.step(now, force, self._depth, self._target, known)
         if self._target <= 0.0 and self._depth < -self._values["lift"]:
             velocity = 0.0
         self._send(velocity=velocity)
@@ -147,7 +148,8 @@ class ForceControllerNode(Node):
     def _tare(self, force: float, now: float) -> None:
         """Take the first moments, in the air, for the force's bias."""
         self._started = self._started or now
-        unheard = self._feed.refusal() in (Refusal.NEVER_HEARD, Refusal.STALE)
+        refusal = self._feed.refusal()
+        unheard = refusal is not None and refusal.cause in (Cause.NEVER_HEARD, Cause.STALE)
         if (
             self._values["scheduled"]
             and unheard

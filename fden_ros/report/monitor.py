@@ -15,7 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fden_ros.control import Refusal
+from fden_ros.control import Cause, Refusal
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.offline.known import knows_stiffness_alone
@@ -43,7 +43,7 @@ class MonitorView:
     state: TissueState | None = None
     age: float | None = None  #: of the state [s]
     rate: float = 0.0  #: of the estimates [Hz]
-    refusal: Refusal | None = Refusal.NEVER_HEARD
+    refusal: Refusal | None = field(default_factory=lambda: Refusal(Cause.NEVER_HEARD))
     label: str = ""
     probabilities: Mapping[str, float] = field(default_factory=dict)
     summaries: tuple[ContactSummary, ...] = ()
@@ -92,9 +92,8 @@ def _present(view: MonitorView) -> Table:
         table.add_row(name, interval)
     table.add_row("law", law(state.estimate) or DASH)
     table.add_row("tissue", _tissue(view))
-    usable = view.refusal is None
-    words = "may be relied on" if usable or view.refusal is None else view.refusal.value
-    table.add_row("controllers", Text(words, style="green" if usable else "yellow"))
+    words = "may be relied on" if view.refusal is None else str(view.refusal)
+    table.add_row("controllers", Text(words, style="yellow" if view.refusal else "green"))
     if view.gains:
         table.add_row("gains", view.gains)
     return table
@@ -103,7 +102,7 @@ def _present(view: MonitorView) -> Table:
 def _status(view: MonitorView) -> Text:
     if view.state is None or view.age is None:
         return Text("nothing heard yet", style="red")
-    if view.refusal is Refusal.LOST:
+    if view.refusal is not None and view.refusal.cause is Cause.LOST:
         return Text(f"lost: no estimate for {view.age:.1f} s", style="bold red")
     status = view.state.status
     words = status.name.lower().replace("_", " ")
