@@ -6,13 +6,14 @@ STATISTICS_ARGS ?= -n 2
 PYTEST := $(ENV) python -m pytest --durations=10
 SEARCH_TIME ?= 3600
 
-.PHONY: help setup demo live test statistics search lint wheel clean
+.PHONY: help setup demo live test statistics figures search lint wheel clean
 
 help:
 	@echo "make demo    two recorded presses: their numbers, and their page in demo/"
 	@echo "make live    simulator, node, controller and monitor together, until Ctrl-C"
 	@echo "make test    lint, then every test but statistics, on the same examples each time"
 	@echo "make statistics  statistical claims at their full counts"
+	@echo "make figures the tables of docs/figures.md, measured anew: hours (FIGURES_ARGS=--quick: minutes)"
 	@echo "make search  property tests on new examples for SEARCH_TIME seconds (3600)"
 	@echo "make lint    ruff and mypy"
 	@echo "make wheel   wheels and a source archive in dist/, tried in a new environment"
@@ -49,6 +50,9 @@ test:
 statistics:
 	@echo "make statistics: statistical claims at their full counts, on all their seeds"
 	@$(PYTEST) $(STATISTICS_ARGS) -m statistics
+
+figures: setup
+	@$(ENV) scripts/figures $(FIGURES_ARGS)
 
 search: setup
 	@end=$$(($$(date +%s) + $(SEARCH_TIME))); while [ $$(date +%s) -lt $$end ]; do \

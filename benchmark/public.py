@@ -3,7 +3,7 @@
 
 """Recordings of others, and what is known of them, beside the estimators of others and your own.
 
-docs/benchmark.md says where they come from, which tables they are, and how a program of your own
+docs/accuracy.md says where they come from, which tables they are, and how a program of your own
 answers: the input is a table, and the output.
 
 *Known*: a value was given. *Ratio*: to the truth, median and 5th to 95th percentile. *Rank*: with

@@ -3,7 +3,7 @@
 
 """Questions about recordings of others: what is seen, what is asked, and what is known of it.
 
-docs/benchmark.md has the tables that they are read from, and those in which they are put to the
+docs/accuracy.md has the tables that they are read from, and those in which they are put to the
 programs of others.
 """
 

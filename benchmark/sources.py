@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Make the tables of docs/benchmark.md from clones of the repositories that it names.
+"""Make the tables of docs/accuracy.md from clones of the repositories that it names.
 
 scripts/ros_env python -m benchmark.sources CLONES -o recordings/   (a folder with the clones)
 """

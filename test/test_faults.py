@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Every row of docs/faults.md that reaches the pipeline: what a fault does, and what it must not.
+"""Every row of test/faults.md that reaches the pipeline: what a fault does, and what it must not.
 
 A shift of three sites with the same tissue; the fault comes at the second one, or before. Held for
 every row: all outputs finite and in order, no wrong number under a good status, the right counter,
@@ -44,7 +44,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
-TABLE = (Path(__file__).parent.parent / "docs" / "faults.md").read_text(encoding="utf-8")
+TABLE = (Path(__file__).parent / "faults.md").read_text(encoding="utf-8")
 FORCE, DISPLACEMENT = 0, 1
 BOTH = (FORCE, DISPLACEMENT)
 #: In the ramp of the second press, whose contact lasts from 9.06 s to 11.10 s.

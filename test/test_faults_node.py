@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The rows of docs/faults.md that only a running node meets: over real DDS."""
+"""The rows of test/faults.md that only a running node meets: over real DDS."""
 
 from __future__ import annotations
 

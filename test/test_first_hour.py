@@ -192,7 +192,7 @@ LAYOUTS = {
 #: Of white noise a sample [N].
 NOISES = (0.005, 0.02, 0.05)
 SEEDS = 20
-PAGE = Path(__file__).parent.parent / "docs" / "ur.md"
+PAGE = Path(__file__).parent.parent / "docs" / "quickstart.md"
 
 
 def identified(
@@ -249,14 +249,13 @@ def test_the_commands_lead_from_a_recording_to_numbers(layout, tmp_path, capsys)
         assert all(abs(error) < 5.0 for error in deviations(contact, truth).values())
 
 
-def test_the_commands_of_the_page_on_ur_lead_from_a_bag_to_numbers(tmp_path, capsys, monkeypatch):
+def test_the_commands_of_the_quick_start_lead_from_a_bag_to_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recorded(tmp_path, "UR bag", 0, NOISES[1])[0].rename("press")
     page = PAGE.read_text(encoding="utf-8")
-    lines = re.findall(r"(?m)^ {4}fden ((?:configure|replay|report) press .*)$", page)
-    assert len(lines) == 3
-    for line in lines:
-        assert main(shlex.split(line)) == 0, line
+    (configure,) = re.findall(r"(?m)^ {4}fden (configure press .*--robot ur .*)$", page)
+    for line in (configure, "replay press --config probe.yaml"):
+        assert main(shlex.split(line, comments=True)) == 0, line
     assert_signs(tmp_path / "probe.yaml", "UR bag")
     assert capsys.readouterr().out.count(" converged ") == 2
 
@@ -277,42 +276,3 @@ def test_errors_are_as_large_as_is_said(layout, noise, tmp_path, capsys):
     for name in ("linear_stiffness", "nonlinear_stiffness", "fractional_order"):
         errors = [found[name] for found in last if name in found]
         assert np.sqrt(np.mean(np.square(errors))) <= 1.3, (name, errors)
-
-
-def cells_of_the_page_on_ur() -> list[tuple[float, float, float, float, float]]:
-    """Return width and depth [mm], noise [mN], and the deviations of G and Gn that are shown."""
-    row = re.compile(r"(?m)^\| (\d+) mm wide, (\d) mm deep \|(.*)\|(.*)\|(.*)\|$")
-    found = []
-    for width, depth, *cells in row.findall(PAGE.read_text(encoding="utf-8")):
-        for noise, cell in zip((5.0, 20.0, 50.0), cells, strict=True):
-            if shown := re.search(r"(\d+) %, (\d+) %", cell):
-                found.append(tuple(map(float, (width, depth, noise, *shown.groups()))))
-    return found
-
-
-@pytest.mark.statistics
-@pytest.mark.parametrize(("width", "depth", "noise", "of_g", "of_gn"), cells_of_the_page_on_ur())
-def test_the_table_of_the_page_on_ur_shows_medians_of_five_presses(
-    width, depth, noise, of_g, of_gn, tmp_path
-):
-    arm = load_scenario("robot_arm")
-    press = RampHold(strain_rate=0.2, max_strain=depth / 20.0, hold_s=2.0, retract_rate=0.4)
-    scenario = replace(
-        arm,
-        geometry=Geometry(radius_m=width / 2e3, thickness_m=0.02),
-        sites=(Site(Tissue(545.0, 8.5, 0.131), (press,)),),
-        force=replace(arm.force, noise_n=1e-3 * noise),
-        disturbances=replace(
-            arm.disturbances, breathing=SurfaceMotion(), heartbeat=SurfaceMotion()
-        ),
-    )
-    area = scenario.geometry.face_area_m2
-    parameters = check(
-        {"geometry.kind": "flat_punch", "geometry.area": area, "geometry.thickness": 0.02}
-    )
-    sds = []
-    for seed in range(5):
-        bag = write_recording(simulate(scenario, seed), tmp_path / str(seed))
-        (contact,) = replay(bag.path, parameters).summaries
-        sds.append(contact.estimate.deviations[:2] if contact.estimate else [np.inf, np.inf])
-    assert 100.0 * np.median(sds, axis=0) == pytest.approx([of_g, of_gn], abs=1.01)

@@ -330,7 +330,7 @@ def test_a_priority_that_is_not_permitted_is_said_with_the_page_that_tells_how()
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     nothing, refused = ast.literal_eval(done.stdout)
-    assert nothing == "" and "nice -10 is not permitted" in refused and "docs/robot.md" in refused
+    assert nothing == "" and "nice -10 is not permitted" in refused and "docs/robots.md" in refused
 
 
 # The end

@@ -40,6 +40,6 @@ def raise_priority(nice: int) -> str:
     except PermissionError:
         return (
             f"nice {nice} is not permitted: next to busy processes estimates may come late; "
-            "docs/robot.md says how to permit it"
+            "docs/robots.md says how to permit it"
         )
     return ""
