@@ -9,7 +9,7 @@ import math
 import re
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,10 +23,8 @@ from unknown_rig_bags import RigBag
 
 from fden_ros.cli import main
 from fden_ros.configure.streams import Streams
-from fden_ros.offline.replay import replay
-from fden_ros.parameters import check, read_parameter_file
-from simulation.bag import write_recording
-from simulation.disturbance import Disturbances, SurfaceMotion
+from fden_ros.parameters import read_parameter_file
+from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
@@ -34,7 +32,6 @@ from simulation.scenario import (
     Scenario,
     Site,
     Tissue,
-    load_scenario,
 )
 from simulation.simulate import Recording, simulate
 from simulation.trajectory import Approach, RampHold
