@@ -383,7 +383,7 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
     from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
 
-    from fden_ros.recording.cdr import serialize
+    from fden_ros.recording.message_types import serialize
     from simulation.scenario import ramp_scenario
     from simulation.simulate import simulate
 

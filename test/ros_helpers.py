@@ -39,7 +39,7 @@ from fden_ros.core.outputs import (
 from fden_ros.nodes.player import Player
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
-from fden_ros.recording.cdr import serialize
+from fden_ros.recording.message_types import serialize
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.topics import OutputMessages
 from simulation.bag import PARAMETER_FILE

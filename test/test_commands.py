@@ -236,7 +236,7 @@ def test_what_is_interrupted_says_what_is_done_and_how_to_go_on(tmp_path, capsys
 def test_bags_are_found_in_folders_and_by_patterns(tmp_path):
     air(tmp_path / "a" / "one", 1, 3)
     air(tmp_path / "a" / ".two.part", 2, 3)
-    shutil.copy(tmp_path / "a" / "one" / "one_0.mcap", tmp_path / "a" / "bare.mcap")
+    shutil.copy(tmp_path / "a" / "one" / "one.mcap", tmp_path / "a" / "bare.mcap")
     (tmp_path / "a" / "notes.txt").write_text("x")
     found = batch.find_bags([str(tmp_path / "a"), str(tmp_path / "a" / "*.mcap")])
     assert [path.name for path in found] == ["bare.mcap", "one"]

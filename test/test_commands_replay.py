@@ -29,7 +29,7 @@ from fden_ros.configure.streams import Streams
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.parameters import Parameters, read_parameter_file
-from fden_ros.recording.definitions import message_class
+from fden_ros.recording.message_types import message_class
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns

@@ -34,8 +34,7 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.recording.cdr import serialize
-from fden_ros.recording.definitions import type_hash
+from fden_ros.recording.message_types import serialize, type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.decoding import fast_handler

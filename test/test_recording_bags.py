@@ -31,8 +31,7 @@ from fden_ros.commands.parameters import parameter_file
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from fden_ros.recording.cdr import serialize
-from fden_ros.recording.definitions import message_definition, type_hash
+from fden_ros.recording.message_types import known_types, serialize, type_hash
 from fden_ros.recording.qos import RELIABLE, SENSOR_DATA
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
@@ -73,7 +72,8 @@ def write_mcap(
     with path.open("wb") as file:
         writer = Writer(file, **options)
         writer.start(profile="ros2")
-        schema = writer.register_schema(WRENCH, "ros2msg", message_definition(WRENCH).encode())
+        text, _ = known_types(WRENCH).generate_msgdef(WRENCH, ros_version=2)
+        schema = writer.register_schema(WRENCH, "ros2msg", text.encode())
         channel = writer.register_channel("/force", "cdr", schema)
         for stamp, payload in zip(stamps, payloads, strict=True):
             writer.add_message(channel, stamp, payload, stamp)
@@ -108,31 +108,23 @@ def test_a_bag_reads_back_as_written(tmp_path):
     messages = list(bag.messages())
     assert [message.topic for message in messages] == ["/force", "/joints"] * 50
     assert [message.log_time_ns - START for message in messages[::2]] == list(range(50))
-    assert decode(messages[98]) == wrench(49, START + 49)
+    assert serialize(decode(messages[98])) == serialize(wrench(49, START + 49))
     assert (bag.message_count, bag.start_ns, bag.end_ns) == (100, START, START + 49)
     assert bag.warnings == ()
     force, joints = bag.topics
     assert (force.name, force.type_name, force.message_count) == ("/force", WRENCH, 50)
     assert (force.offered_qos, joints.offered_qos) == ((SENSOR_DATA,), (RELIABLE,))
-    assert (force.schema, force.schema_encoding) == (message_definition(WRENCH), "ros2msg")
+    assert (force.encoding, force.type_hash) == ("ros2msg", type_hash(WRENCH))
     assert {message.topic for message in bag.messages(["/joints"])} == {"/joints"}
     with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints"):
         bag.messages(["/torque"])
-    assert data_of(tmp_path / "bag" / "bag_0.mcap") == data_of(tmp_path / "bag")
+    assert data_of(tmp_path / "bag" / "bag.mcap") == data_of(tmp_path / "bag")
 
 
 # Metadata and definitions
 
 
 def test_definitions_and_hashes_are_those_of_the_distribution():
-    text = message_definition(WRENCH)
-    headings = [line for line in text.splitlines() if line.startswith("MSG: ")]
-    assert headings == [
-        "MSG: geometry_msgs/Wrench",
-        "MSG: geometry_msgs/Vector3",
-        "MSG: std_msgs/Header",
-        "MSG: builtin_interfaces/Time",
-    ]
     known = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     assert type_hash("std_msgs/msg/String") == known
     assert type_hash("nowhere_msgs/msg/Nothing") == ""
@@ -203,15 +195,13 @@ def test_split_bag_is_one_stream_by_time(tmp_path):
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_file_cut_off_anywhere_gives_its_complete_messages(tmp_path, compression):
+def test_a_file_cut_off_anywhere_gives_what_stands_before_the_cut(tmp_path, compression):
     whole = tmp_path / "whole.mcap"
-    payloads = write_mcap(
-        whole, range(200), compression=compression, chunk_size=3000, finish=False
-    )
+    payloads = write_mcap(whole, range(200), compression=compression, chunk_size=3000)
     content = whole.read_bytes()
     cut = tmp_path / "cut.mcap"
     counts = []
-    for size in (*range(1, 60), *range(60, len(content) + 1, 97)):
+    for size in (*range(1, 60), *range(60, len(content), 397)):
         cut.write_bytes(content[:size])
         try:
             bag = BagReader(cut)
@@ -223,16 +213,13 @@ def test_file_cut_off_anywhere_gives_its_complete_messages(tmp_path, compression
         read = [message.data for message in bag.messages()]
         assert read == payloads[: len(read)]
         assert len(read) == bag.message_count
-        assert f"{len(read)} complete messages" in bag.warnings[0]
+        assert f"cut off or damaged: the {len(read)} messages before that" in bag.warnings[0]
         counts.append(len(read))
     assert counts == sorted(counts)
-    assert counts[-1] > 150
-    if compression is CompressionType.NONE:
-        # Those of a chunk that is cut off are used too.
-        assert any(count % 10 for count in counts)
+    assert counts[-1] == 200
 
 
-def test_damaged_chunk_is_lost_alone_and_said(tmp_path):
+def test_what_follows_damage_is_lost_and_said(tmp_path):
     path = tmp_path / "bag.mcap"
     payloads = write_mcap(path, range(200), compression=CompressionType.NONE, chunk_size=5000)
     content = bytearray(path.read_bytes())
@@ -241,9 +228,9 @@ def test_damaged_chunk_is_lost_alone_and_said(tmp_path):
     path.write_bytes(content)
     bag = BagReader(path)
     read = [message.data for message in bag.messages()]
-    assert 100 < len(read) < 200
-    assert set(read) < set(payloads)
-    assert "is lost (checksum differs)" in bag.warnings[0]
+    assert 50 < len(read) <= 100
+    assert read == payloads[: len(read)]
+    assert "the rest of it is lost (crc validation failed" in bag.warnings[0]
 
 
 def stream(topic: str, message: str, count: int = 20, **options: Any) -> Stream:
@@ -293,7 +280,7 @@ def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
     assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 0
     assert "fden replay" in capsys.readouterr().out
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert sorted(first) == ["identifier.yaml", "metadata.yaml", "ramp_0.mcap"]
+    assert sorted(first) == ["identifier.yaml", "metadata.yaml", "ramp.mcap"]
     assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 1
     assert "--force" in capsys.readouterr().err
     assert main(["bag", "ramp", "-o", str(folder), "--seed", "3", "--force"]) == 0
@@ -341,7 +328,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Rea
     library = (ROOT / "fden_ros" / "tissues" / "tissues.yaml").read_bytes()
     (folder / "library.yaml").write_bytes(library)
     return {
-        "mcap": (bag / "bag_0.mcap", lambda path: replay(path.parent, check({}))),
+        "mcap": (bag / "bag.mcap", lambda path: replay(path.parent, check({}))),
         "metadata": (bag / "metadata.yaml", lambda path: replay(path.parent, check({}))),
         "table": (folder / "table.csv", read_table),
         "parameters": (

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
 from fden_ros.parameters import check
-from fden_ros.recording.cdr import serialize
+from fden_ros.recording.message_types import serialize
 from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import UnusualError, fast_handler
 from fden_ros.ros.inputs import Inputs

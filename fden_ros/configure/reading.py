@@ -20,8 +20,9 @@ from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.parameters import FORCES, PLACES, check
 from fden_ros.progress import progress
+from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
-from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
+from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import BagSource, Selection
 from fden_ros.recording.table import TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table

@@ -17,7 +17,7 @@ from fden_ros.configure.reading import MESSAGES
 from fden_ros.configure.survey import Survey
 from fden_ros.errors import InputError
 from fden_ros.parameters import LIVE_LINE
-from fden_ros.recording.reader import Topic
+from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.source import Selection
 from fden_ros.shipped import shipped
 

@@ -19,8 +19,9 @@ from fden_ros.configure.reading import Column, Reading, reading_of
 from fden_ros.configure.robots import Robot, robot_selection
 from fden_ros.configure.survey import Survey, steps_for
 from fden_ros.errors import InputError
-from fden_ros.recording.definitions import message_class
-from fden_ros.recording.reader import Topic, topic_named
+from fden_ros.recording.bag_files import Topic
+from fden_ros.recording.message_types import message_class
+from fden_ros.recording.reader import topic_named
 from fden_ros.recording.source import Selection
 from fden_ros.recording.topics import find_topic
 from fden_ros.ros.plain_node import plain_node, spin_for

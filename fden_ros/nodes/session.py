@@ -32,7 +32,7 @@ from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall_in_parts
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
-from fden_ros.recording.definitions import decoder, message_class
+from fden_ros.recording.message_types import decoder, message_class
 from fden_ros.recording.stamps import restamped_data
 from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, Inputs

@@ -20,7 +20,7 @@ from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.planning.tissue import TissueBelief
 from fden_ros.progress import progress as bar
-from fden_ros.recording.reader import RawMessage
+from fden_ros.recording.bag_files import RawMessage
 from fden_ros.recording.source import Selection, open_source
 
 _LOGGER = logging.getLogger(__name__)

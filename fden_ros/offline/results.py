@@ -14,8 +14,8 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import Parameters
+from fden_ros.recording.bag_files import RawMessage
 from fden_ros.recording.qos import Qos
-from fden_ros.recording.reader import RawMessage
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.messages import to_stamp, type_name

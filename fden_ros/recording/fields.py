@@ -5,20 +5,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.well_known import SchemaEncoding
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fden_ros.core.streams import Quaternion
 from fden_ros.errors import InputError
-from fden_ros.recording.definitions import decoder, decoder_by, message_definition
-from fden_ros.recording.reader import Topic
+from fden_ros.recording.bag_files import Topic
+from fden_ros.recording.message_types import carried_types, decoder
 
 Vector = tuple[float, float, float]
 
@@ -96,62 +94,26 @@ def as_number_or_vector(value: Any) -> float | Vector | None:
 
 
 def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the function that decodes a topic's messages.
-
-    The installed class decodes where its definition is the bag's; else the definition that the
-    bag carries does, so that the type need not be installed.
+    """Return the function that decodes a topic's messages, by the definition that the bag carries.
 
     Raises
     ------
     InputError
-        If the bag carries no definition and none is installed.
+        If the bag carries no definition that can be read, and none is known.
     """
-    carried = topic.schema.strip() if topic.schema_encoding == SchemaEncoding.ROS2 else ""
-    if carried in ("", _installed(topic.type_name)):
-        try:
-            return decoder(topic.type_name)
-        except InputError:
-            raise InputError(
-                f"{topic.name}: the bag carries no readable definition of {topic.type_name}: "
-                f"install the package {topic.type_name.partition('/')[0]}"
-            ) from None
+    types = None
+    if topic.definition:
+        with contextlib.suppress(InputError):
+            types = carried_types(topic.type_name, topic.definition, topic.encoding)
     try:
-        return decoder_by(carried, topic.type_name)
-    except NameError:
-        return _decoder_of_ros1(topic)
-    except (McapError, ValueError, LookupError) as error:
-        raise _unreadable(topic, error) from None
-
-
-def _installed(type_name: str) -> str:
-    """Return the installed definition of a type; empty where there is none."""
-    try:
-        return message_definition(type_name).strip()
+        return decoder(topic.type_name, types)
     except InputError:
-        return ""
-
-
-def _decoder_of_ros1(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the decoder of a type with names such as ``Fz``, which ROS 2 does not allow."""
-    types = get_typestore(Stores.EMPTY)
-    try:
-        types.register(get_types_from_msg(topic.schema, topic.type_name))
-        types.get_msgdef(topic.type_name)
-    except Exception as error:
-        raise _unreadable(topic, error) from None
-    return lambda data: types.deserialize_cdr(data, topic.type_name)
-
-
-def _unreadable(topic: Topic, error: Exception) -> InputError:
-    return InputError(
-        f"{topic.name}: the definition of {topic.type_name} cannot be read "
-        f"({' '.join(str(error).split())}): install its package"
-    )
+        raise InputError(
+            f"{topic.name}: the bag carries no readable definition of {topic.type_name}: "
+            f"install the package {topic.type_name.partition('/')[0]}"
+        ) from None
 
 
 def field_names(message: Any) -> list[str]:
     """Return the names of the fields of a decoded message; none of anything else."""
-    if hasattr(message, "get_fields_and_field_types"):
-        return list(message.get_fields_and_field_types())
-    slots = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
-    return [name for name in slots if not name.startswith("_")]
+    return [name for name in getattr(message, "__dict__", {}) if not name.startswith("_")]

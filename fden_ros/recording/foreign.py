@@ -11,6 +11,8 @@ _KINDS: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
     (b"PK\x03\x04", "it is a zip archive or a workbook: unpack it, or save its sheet as CSV"),
     (b"\xd0\xcf\x11\xe0", "it is a workbook: save its sheet as CSV"),
     (b"\x1f\x8b", "it is packed by gzip: unpack it, or name it .csv.gz"),
+    (b"\x28\xb5\x2f\xfd", "it is packed by zstd: unpack it with zstd -d"),
+    (b"\x04\x22\x4d\x18", "it is packed by lz4: unpack it with lz4 -d"),
     (b"7z\xbc\xaf", "it is packed by 7-Zip: unpack it"),
     (b"MATLAB", f"it is a MATLAB file: {_AS_CSV}"),
     (b"\x89HDF", f"it is an HDF5 file, as of MATLAB 7.3: {_AS_CSV}"),

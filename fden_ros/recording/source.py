@@ -17,19 +17,13 @@ from fden_ros.core.streams import Sink, conjugate, rotate
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
 from fden_ros.recording.arm import arm_values
+from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.candidates import hint_of
-from fden_ros.recording.definitions import decoder
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.machine import machine_values
 from fden_ros.recording.places import called, copied, is_remote, place, reached
-from fden_ros.recording.reader import BagReader, RawMessage, Topic, decode
-from fden_ros.recording.stamps import (
-    LOOKED_AT,
-    carried_stamp,
-    problems,
-    raw_stamp,
-    restamped,
-)
+from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.stamps import LOOKED_AT, carried_stamp, problems
 from fden_ros.recording.table import Columns, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.topics import (
@@ -38,7 +32,6 @@ from fden_ros.recording.topics import (
     is_commanded,
     topic_with_messages,
 )
-from fden_ros.ros.decoding import handler_of
 from fden_ros.ros.inputs import (
     DAMAGED,
     TRANSFORM_TOPICS,
@@ -48,6 +41,7 @@ from fden_ros.ros.inputs import (
     NumberOrVector,
     measured_inputs,
     stamp_ns,
+    stream_of,
 )
 
 _ALWAYS = ("force", "displacement")
@@ -174,27 +168,8 @@ class BagSource:
 
     def _hint(self, wanted: Collection[str]) -> Callable[[], Hint]:
         """Return what lists the numbers of the bag, for what of force and displacement is open."""
-        known = {
-            stream: topic.name
-            for stream, topic in self.topics.items()
-            if not self._is_guessed(stream, topic)
-        }
-        unclear = [stream for stream in wanted if stream in _ALWAYS and stream not in known]
-        for stream in tuple(unclear):
-            self._fields[stream] = self._selection.fields.get(stream)
-            try:
-                found = self._find(stream, self._selection.topics.get(stream))
-                if not self._is_guessed(stream, found):
-                    known[stream] = found.name
-                    unclear.remove(stream)
-            except InputError:
-                pass
-        return hint_of(self.reader, unclear, {**self._selection.topics, **known})
-
-    def _is_guessed(self, stream: str, topic: Topic) -> bool:
-        """Return whether nothing but its type speaks for a force: joints may have no effort."""
-        is_named = stream in self._selection.topics
-        return stream == "force" and topic.type_name == _JOINTS and not is_named
+        named = {**self._selection.topics, **self.topics}
+        return hint_of(self.reader, [s for s in wanted if s in _ALWAYS and s not in named])
 
     def _note_joints(self) -> None:
         """Say which of several joints is taken where none is named."""
@@ -272,34 +247,28 @@ class BagSource:
             yield done
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Yield the messages of topics, with the stamps that are asked for.
+        """Yield the messages of topics.
 
         What is wrong with the stamps of force, displacement and the like joins the warnings.
         """
-        if not self._is_stamped:
-            return map(restamped, self.reader.messages(topics))
-        self.stamp_problems = problems(
-            {
-                topic.name: self._stamps(topic, self._fields[stream])
-                for stream, topic in self.topics.items()
-                if stream not in TRANSFORM_TOPICS
-            }
-        )
+        if self._is_stamped:
+            self.stamp_problems = problems(
+                {
+                    topic.name: self._stamps(topic)
+                    for stream, topic in self.topics.items()
+                    if stream not in TRANSFORM_TOPICS
+                }
+            )
         return self.reader.messages(topics)
 
-    def _stamps(self, topic: Topic, field: str | None) -> list[tuple[int, int]]:
+    def _stamps(self, topic: Topic) -> list[tuple[int, int]]:
         """Return header stamps and times of recording (ns) of a topic's first messages."""
-        decode = decoder_of(topic) if field is not None else None
+        decode = decoder_of(topic)
         pairs = []
         for message in itertools.islice(self.reader.messages([topic.name]), LOOKED_AT):
-            header: int | None = None
-            if decode is None:
-                header = raw_stamp(message)
-            else:
-                with contextlib.suppress(InputError):  # counted as damaged where it is used
-                    stamp = carried_stamp(decode(message.data))
-                    header = message.log_time_ns if stamp is None else stamp_ns(stamp)
-            if header is not None:
+            with contextlib.suppress(Exception):  # counted as damaged where it is used
+                stamp = carried_stamp(decode(message.data))
+                header = message.log_time_ns if stamp is None else stamp_ns(stamp)
                 pairs.append((header, message.log_time_ns))
         return pairs
 
@@ -309,9 +278,17 @@ class BagSource:
         if field is not None:
             path = FieldPath(field)
             return _FieldHandler(stream, topic, path, inputs, self.note, self._is_stamped)
-        kind = topic.type_name
-        handle = handler_of(stream, kind, decoder(kind), inputs)
-        return lambda message: handle(message.data)
+        decode = decoder_of(topic)
+
+        def handle(message: RawMessage) -> None:
+            try:
+                sample = decode(message.data)
+            except Exception:  # damaged bytes raise errors of every kind
+                inputs.reject(stream_of(stream), DAMAGED)
+                return
+            inputs.add(stream, sample, None if self._is_stamped else message.log_time_ns)
+
+        return handle
 
     def note(self, text: str) -> None:
         """Add a warning, once."""

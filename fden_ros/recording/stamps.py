@@ -9,7 +9,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fden_ros.recording.reader import RawMessage
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 #: Messages at the beginning of a topic whose stamps are looked at.
@@ -32,12 +31,6 @@ _NS = 1_000_000_000
 _STAMPED = {name for kinds in TYPE_NAMES.values() for name in kinds.values()} - {TRANSFORMS}
 _BODY = 4
 _DOUBLE = 8
-
-
-def restamped(message: RawMessage) -> RawMessage:
-    """Return an input message with its time of recording as header stamp; others as they are."""
-    data = restamped_data(message.data, message.type_name, message.log_time_ns)
-    return message._replace(data=data)
 
 
 def restamped_data(data: bytes, type_name: str, time_ns: int) -> bytes:
@@ -68,14 +61,6 @@ def _restamped_transforms(data: bytes, time_ns: int) -> bytes:
         if at > len(data):
             raise IndexError
     return bytes(changed)
-
-
-def raw_stamp(message: RawMessage) -> int | None:
-    """Return the header stamp (ns) of an input message; None of other types."""
-    if message.type_name not in _STAMPED or len(message.data) < _BODY + 8:
-        return None
-    seconds, nanoseconds = struct.unpack_from(_format(message.data), message.data, _BODY)
-    return int(seconds * _NS + nanoseconds)
 
 
 def carried_stamp(sample: Any) -> Any:

@@ -9,8 +9,9 @@ import re
 from collections.abc import Collection, Sequence
 
 from fden_ros.errors import InputError
+from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.headings import COMMANDED
-from fden_ros.recording.reader import Topic, topic_named
+from fden_ros.recording.reader import topic_named
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 # Words in a topic's name: what it most likely carries.

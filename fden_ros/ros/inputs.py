@@ -115,10 +115,10 @@ class Places:
         self.takes_orientation = takes_orientation
         self.frame: str | None = None
 
-    def add(self, message: Any) -> None:
-        """Take a message."""
+    def add(self, message: Any, received: int | None = None) -> None:
+        """Take a message; with a time of reception [ns], that is its stamp."""
         header = message.header
-        stamp = stamp_ns(header.stamp)
+        stamp = stamp_ns(header.stamp) if received is None else received
         kind = kind_of(message, PLACES)
         if kind.is_of_joints:
             joint = _joint_value(kind, message, self.joint)
@@ -256,16 +256,16 @@ class Inputs:
         """Count a message that cannot be read."""
         self._sink.reject(stream, reason)
 
-    def add(self, name: str, message: Any) -> None:
-        """Take a message of an input."""
+    def add(self, name: str, message: Any, received: int | None = None) -> None:
+        """Take a message of an input; with a time of reception [ns], that is its stamp."""
         if name in TRANSFORM_TOPICS:
-            self._add_transforms(message, is_static=name == "/tf_static")
+            self._add_transforms(message, received, is_static=name == "/tf_static")
             return
         if name != "force":
-            self.places[name].add(message)
+            self.places[name].add(message, received)
             return
         header = message.header
-        stamp = stamp_ns(header.stamp)
+        stamp = stamp_ns(header.stamp) if received is None else received
         kind = kind_of(message, FORCES)
         if kind.is_of_joints:
             effort = _joint_value(kind, message, self.force_joint)
@@ -306,11 +306,11 @@ class Inputs:
         self._force_frame_known = True
         return True
 
-    def _add_transforms(self, message: Any, *, is_static: bool) -> None:
+    def _add_transforms(self, message: Any, received: int | None, *, is_static: bool) -> None:
         for one in message.transforms:
             place, turn = one.transform.translation, one.transform.rotation
             self._sink.add_transform(
-                stamp_ns(one.header.stamp),
+                stamp_ns(one.header.stamp) if received is None else received,
                 one.header.frame_id.lstrip("/"),
                 one.child_frame_id.lstrip("/"),
                 (place.x, place.y, place.z),
