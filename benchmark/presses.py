@@ -31,7 +31,6 @@ from simulation.scenario import (
     Press,
     Scenario,
     Site,
-    SurfaceSensor,
     Tissue,
 )
 from simulation.simulate import EXACT, Recording, simulate
@@ -74,7 +73,7 @@ class Case:
         What is disturbed, short and in words.
     presses : tuple of Press
         At each site.
-    disturbances, preload, surface
+    disturbances, preload
         As in a scenario.
     sites : int
         How many are touched, all of one tissue.
@@ -95,7 +94,6 @@ class Case:
     presses: tuple[Press, ...] = (HOLD,)
     disturbances: Disturbances = field(default_factory=Disturbances)
     preload: Preload = field(default_factory=Preload)
-    surface: SurfaceSensor | None = None
     sites: int = 1
     pitch_m: float = 0.0
     radius_m: float = _RADIUS_M
@@ -136,7 +134,6 @@ def _breathing(peak_to_peak_m: float) -> SurfaceMotion:
     return SurfaceMotion(peak_to_peak_m, rate_variation=0.1)
 
 
-_MEASURED = SurfaceSensor(60.0, noise_m=2e-5, jitter_s=1e-3, delay_s=0.02, offset_m=0.3)
 _BREATHES = _disturbed(
     "breathing_1mm", "breathing 1 mm, hold", beyond=True, breathing=_breathing(1e-3)
 )
@@ -150,13 +147,6 @@ _ALL = (
     ),
     _disturbed("breathing_0.3mm", "breathing 0.3 mm, hold", breathing=_breathing(3e-4)),
     _BREATHES,
-    replace(
-        _BREATHES,
-        name="breathing_1mm_measured",
-        says="breathing 1 mm, hold, measured",
-        surface=_MEASURED,
-        beyond=False,
-    ),
     _disturbed(
         "heartbeat_0.2mm", "heartbeat 0.2 mm, hold", heartbeat=SurfaceMotion(2e-4, 1.2, 0.1)
     ),
@@ -274,7 +264,6 @@ def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
         ),
         disturbances=case.disturbances,
         preload=case.preload,
-        surface=case.surface,
     )
     if not ratio:
         return scenario

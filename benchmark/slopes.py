@@ -78,7 +78,6 @@ def _smooth(scenario: Scenario) -> Scenario:
         # A signal without any is taken for one that is stuck.
         force=replace(scenario.force, noise_n=1e-7),
         displacement=replace(scenario.displacement, noise_m=1e-10),
-        surface=scenario.surface and replace(scenario.surface, noise_m=0.0),
         disturbances=replace(
             scenario.disturbances,
             hum_n=0.0,

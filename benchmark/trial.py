@@ -77,13 +77,7 @@ def feed(pipeline: Pipeline, recording: Recording, *, to_the_end: bool = True) -
 
 def feed_samples(sink: Pipeline | Synchronizer, recording: Recording) -> None:
     """Feed all samples of a simulated recording by stamp."""
-    surfaces = deque[tuple[int, float]]()
-    if recording.surface is not None:
-        values = recording.surface.value.tolist()
-        surfaces.extend(zip(recording.surface.stamp_ns.tolist(), values, strict=True))
     for is_force, stamp_ns, value, place in samples_of(recording):
-        while surfaces and surfaces[0][0] <= stamp_ns:
-            sink.add_surface(*surfaces.popleft())
         if is_force:
             sink.add_force(stamp_ns, value)
         else:

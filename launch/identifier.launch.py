@@ -51,11 +51,6 @@ def generate_launch_description() -> LaunchDescription:
             description="Topic of the measured displacement of the probe.",
         ),
         DeclareLaunchArgument(
-            "surface_topic",
-            default_value="surface",
-            description="Topic of the measured place of the tissue's surface (surface.message).",
-        ),
-        DeclareLaunchArgument(
             "autostart",
             default_value="true",
             choices=["true", "false"],
@@ -97,7 +92,6 @@ def generate_launch_description() -> LaunchDescription:
         remappings=[
             ("force", LaunchConfiguration("force_topic")),
             ("displacement", LaunchConfiguration("displacement_topic")),
-            ("surface", LaunchConfiguration("surface_topic")),
         ],
         arguments=[
             "--ros-args",

@@ -105,13 +105,11 @@ def _parameter_file(recording: Recording) -> str:
         for key in groups:
             group = group.setdefault(key, {})
         group[leaf] = value
-    surface = f"# Surface topic: {recording.surface.topic}\n" if recording.surface else ""
     parameters = yaml.safe_dump({"/**": {"ros__parameters": nested}}, sort_keys=False)
     return (
         f"# Parameters of the identifier that fit this recording.\n"
         f"# Force topic: {recording.force.topic}\n"
         f"# Displacement topic: {recording.displacement.topic}\n"
-        f"{surface}"
         f"{parameters}"
     )
 

@@ -271,8 +271,8 @@ class ForceSensor:
 
 
 @dataclass(frozen=True)
-class PlaceSensor:
-    """What a stream of places looks like.
+class DisplacementSensor:
+    """The tip of the probe.
 
     Attributes
     ----------
@@ -285,6 +285,8 @@ class PlaceSensor:
     topic, message, axis, frame_id
         Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform`` or
         ``point`` (`axis` points into the tissue).
+    surface_m
+        What it reads at the undisturbed surface.
     """
 
     rate_hz: float = 1000.0
@@ -295,31 +297,13 @@ class PlaceSensor:
     message: str = "joint_state"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tissue"
-
-    def __post_init__(self) -> None:
-        stream = type(self).__name__.removesuffix("Sensor").lower()
-        require_positive(self, "rate_hz")
-        require_not_negative(self, "noise_m", "jitter_s")
-        require_choice(f"{stream}: message", self.message, DISPLACEMENT_MESSAGES)
-        _require_unit_axis(stream, self.axis)
-
-
-@dataclass(frozen=True)
-class DisplacementSensor(PlaceSensor):
-    """The tip of the probe; it reads `surface_m` at the undisturbed surface."""
-
     surface_m: float = 0.0
 
-
-@dataclass(frozen=True)
-class SurfaceSensor(PlaceSensor):
-    """The surface's place, by a tracked marker or a range finder; undisturbed it is `offset_m`."""
-
-    rate_hz: float = 100.0
-    topic: str = "/surface"
-    message: str = "point"
-    frame_id: str = "tracker"
-    offset_m: float = 0.0
+    def __post_init__(self) -> None:
+        require_positive(self, "rate_hz")
+        require_not_negative(self, "noise_m", "jitter_s")
+        require_choice("displacement: message", self.message, DISPLACEMENT_MESSAGES)
+        _require_unit_axis("displacement", self.axis)
 
 
 @dataclass(frozen=True)
@@ -329,7 +313,7 @@ class Dropout:
     Attributes
     ----------
     stream
-        ``force``, ``displacement``, ``both`` of these, or ``surface``.
+        ``force``, ``displacement`` or ``both``.
     start_s, duration_s
         On the stamps, from the beginning of the recording.
     """
@@ -339,9 +323,7 @@ class Dropout:
     duration_s: float
 
     def __post_init__(self) -> None:
-        require_choice(
-            "dropout: stream", self.stream, ("force", "displacement", "both", "surface")
-        )
+        require_choice("dropout: stream", self.stream, ("force", "displacement", "both"))
         require_not_negative(self, "start_s")
         require_positive(self, "duration_s")
 
@@ -425,7 +407,6 @@ class Scenario:
     dropouts: tuple[Dropout, ...] = ()
     disturbances: Disturbances = field(default_factory=Disturbances)
     preload: Preload = field(default_factory=Preload)
-    surface: SurfaceSensor | None = None
 
     def __post_init__(self) -> None:
         if not self.sites:

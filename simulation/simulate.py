@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,10 +17,10 @@ from simulation.closed_form import Move, SineMove
 from simulation.contact import ContactHistory, contacts_of_moves
 from simulation.disturbance import Disturbances, Phases, quantised
 from simulation.scenario import (
+    DisplacementSensor,
     Dropout,
     ForceSensor,
     Geometry,
-    PlaceSensor,
     Preload,
     Scenario,
     Site,
@@ -40,7 +40,7 @@ END_PAUSE_S = 0.5
 _MAX_JITTER_PERIODS = 0.45
 
 # One generator a purpose: what one of them draws never changes the others.
-_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS, _SURFACE_DRAWS = range(5)
+_TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS = range(4)
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,11 @@ class Recording:
     force: Stream
     displacement: Stream
     truth: dict[str, Any]
-    surface: Stream | None = None
 
     @property
     def streams(self) -> tuple[Stream, ...]:
         """All streams."""
-        both = (self.force, self.displacement)
-        return both if self.surface is None else (*both, self.surface)
+        return (self.force, self.displacement)
 
 
 def _ratio(site: Site) -> float:
@@ -119,8 +117,7 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
     displacement = _displacement_stream(
         scenario, visits, duration, _generator(seed, _DISPLACEMENT_DRAWS)
     )
-    surface = _surface_stream(scenario, duration, _generator(seed, _SURFACE_DRAWS), phases)
-    return Recording(force, displacement, _truth(scenario, seed, visits), surface)
+    return Recording(force, displacement, _truth(scenario, seed, visits))
 
 
 #: The identifier's parameters where model and rig leave nothing out, as in `config/bench.yaml`:
@@ -163,10 +160,6 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
         "displacement.axis": list(displacement.axis),
         "displacement.delay": displacement.delay_s,
     }
-    if scenario.surface is not None:
-        parameters["surface.message"] = scenario.surface.message
-        parameters["surface.axis"] = list(scenario.surface.axis)
-        parameters["surface.delay"] = scenario.surface.delay_s
     if scenario.disturbances == Disturbances():
         parameters |= EXACT
     if scenario.sites[-1].slide is not None:
@@ -304,55 +297,22 @@ def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArra
 def _displacement_stream(
     scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
 ) -> Stream:
-    sensor = scenario.displacement
+    sensor, step = scenario.displacement, scenario.disturbances.displacement_step_m
     axis = np.array(sensor.axis)
-
-    def place(times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        depth = scenario.geometry.depth_of_strain(_strain(visits, times))
-        return sensor.surface_m + depth, _lateral(visits, times, axis)
-
-    step = scenario.disturbances.displacement_step_m
-    return _place_stream(scenario, "displacement", sensor, place, step, duration, generator)
-
-
-def _surface_stream(
-    scenario: Scenario, duration: float, generator: np.random.Generator, phases: Phases
-) -> Stream | None:
-    sensor = scenario.surface
-    if sensor is None:
-        return None
-    offset = sensor.offset_m
-
-    def place(times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return offset + scenario.disturbances.surface(times, phases), np.zeros((times.size, 3))
-
-    return _place_stream(scenario, "surface", sensor, place, 0.0, duration, generator)
-
-
-def _place_stream(
-    scenario: Scenario,
-    name: str,
-    sensor: PlaceSensor,
-    place: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
-    step: float,
-    duration: float,
-    generator: np.random.Generator,
-) -> Stream:
-    """Return the samples of `place`: along the axis (n,) and across it (n, 3), of times (n,)."""
     elapsed_ns, times = _sampling(sensor, duration, generator)
-    along, across = place(times)
+    along = sensor.surface_m + scenario.geometry.depth_of_strain(_strain(visits, times))
     noise = sensor.noise_m * generator.standard_normal((times.size, 3))
     stamps = elapsed_ns + round(sensor.delay_s * 1e9)
-    kept = _kept(stamps, scenario.dropouts, name)
+    kept = _kept(stamps, scenario.dropouts, "displacement")
     if sensor.message == "joint_state":
         return _stream(sensor, stamps[kept], quantised(along + noise[:, 2], step)[kept], None)
-    axis = np.array(sensor.axis)
+    across = _lateral(visits, times, axis)
     position = quantised(np.outer(along, axis) + across + noise, step)
     return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
 
 
 def _stream(
-    sensor: ForceSensor | PlaceSensor,
+    sensor: ForceSensor | DisplacementSensor,
     elapsed_ns: StampArray,
     value: FloatArray,
     position: FloatArray | None,
@@ -369,7 +329,7 @@ def _stream(
 
 
 def _sampling(
-    sensor: ForceSensor | PlaceSensor,
+    sensor: ForceSensor | DisplacementSensor,
     duration: float,
     generator: np.random.Generator,
 ) -> tuple[StampArray, FloatArray]:
@@ -385,7 +345,7 @@ def _sampling(
 def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> NDArray[np.bool_]:
     kept = np.ones(elapsed_ns.shape, dtype=bool)
     for dropout in dropouts:
-        if dropout.stream == stream or (dropout.stream == "both" and stream != "surface"):
+        if dropout.stream == stream or dropout.stream == "both":
             since = elapsed_ns * 1e-9 - dropout.start_s
             kept &= (since < 0.0) | (since >= dropout.duration_s)
     return kept

@@ -57,7 +57,7 @@ PATIENT = {"synchronize.max_wait": 60.0}
 #: Nothing may be lost where every number is compared.
 LOSSLESS: dict[str, Any] = {
     f"qos_overrides./{topic}.subscription.{policy}": value
-    for topic in ("force", "displacement", "surface", "tf")
+    for topic in ("force", "displacement", "tf")
     for policy, value in (("reliability", "reliable"), ("depth", 20000))
 } | {
     "qos_overrides./identifier/estimate.publisher.depth": 10000,

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
-import random
 from collections import Counter
 
 import numpy as np
@@ -249,77 +247,3 @@ def test_one_of_a_hundred_samples_lost_at_2_khz_is_no_gap_and_20_ms_of_them_are(
     stamps = 500_000 * np.flatnonzero(kept) + 1
     assert not any(guard.step(int(stamp)) for stamp in stamps)
     assert guard.step(int(stamps[-1]) + 21_000_000) == 21_000_000
-
-
-# A third stream: the surface
-
-
-def surfaced(samples, **config):
-    run = Run(takes_surface=True, **config)
-    for sample in samples:
-        run.add(*sample)
-    return run
-
-
-def three_streams(surface_from=0, surface_to=2000, surface_delay=0):
-    """Force, displacement and surface at 100, 50 and 20 Hz; stamps in ms from the first."""
-    return [
-        [(FORCE, START + t * MS, 0.01 * t) for t in range(0, 2000, 10)],
-        [(DISPLACEMENT, START + t * MS, 1e-3 * t) for t in range(0, 2001, 20)],
-        [
-            ("surface", START + (t + surface_delay) * MS, 1e-4 * t)
-            for t in range(surface_from, surface_to + 1, 50)
-        ],
-    ]
-
-
-def test_the_surface_at_the_stamp_of_the_force_is_taken_off():
-    run = surfaced(itertools.chain(*three_streams(surface_delay=30)), surface_delay=0.03)
-    assert len(run.pairs) == 200 and not run.rejected
-    assert [pair.displacement for pair in run.pairs] == pytest.approx(
-        [9e-4 * ms for ms in run.stamps], abs=1e-12
-    )
-
-
-def test_a_force_waits_for_its_surface_and_is_counted_where_none_comes():
-    run = surfaced(itertools.chain(*three_streams(surface_from=1000)))
-    assert run.rejected == {"force.no_surface": 100} and len(run.pairs) == 100
-    run = surfaced(itertools.chain(*three_streams(surface_to=1000)))
-    assert not run.rejected and len(run.pairs) == 101, "those after the last surface still wait"
-    force, displacement, surface = three_streams()
-    holed = [s for s in surface if not 500 <= (s[1] - START) / MS < 1000]
-    run = surfaced([*force, *displacement, *holed])
-    assert run.rejected == {"force.surface_gap": 54} and len(run.pairs) == 146
-    alone = Run(takes_surface=True)
-    for ms in range(0, 7000, 10):
-        alone.both(START + ms * MS, 1e-3 * ms, 1e-6 * ms)
-    assert alone.rejected == {"force.no_surface": 199} and not alone.pairs, "after the window"
-
-
-@examples(50)
-@given(seed=st.integers(0, 2**32 - 1), jump=st.integers(-900, 900))
-def test_pairs_and_noise_do_not_depend_on_the_order_of_three_streams(seed, jump):
-    chance = random.Random(seed)
-    # Stamps that come too late, too early or again, and a clock of the surface that jumps.
-    force, displacement, surface = (
-        [
-            (name, at + chance.choice([0] * 9 + [-300 * MS, 700 * MS]), v + 1e-4 * chance.random())
-            for name, at, v in one
-        ]
-        for one in three_streams()
-    )
-    surface = [(n, s + (jump * MS if s > START + 1000 * MS else 0), v) for n, s, v in surface]
-    results = []
-    for _ in range(3):
-        left = [list(force), list(displacement), list(surface)]
-        # One of them may be far behind the others.
-        paces = [chance.choice([0.01, 1.0, 5.0]) for _ in left]
-        merged_in_turn = []
-        while any(left):
-            weights = [pace * bool(one) for pace, one in zip(paces, left, strict=True)]
-            (one,) = chance.choices(left, weights)
-            merged_in_turn.append(one.pop(0))
-        # A window that holds everything: what waits too long is another test's matter.
-        run = surfaced(merged_in_turn, max_wait=1e6)
-        results.append((run.pairs, run.noise, run.rejected))
-    assert results[0] == results[1] == results[2]

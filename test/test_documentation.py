@@ -229,7 +229,7 @@ def test_the_page_of_the_interface_has_every_topic_and_service_of_the_node(conte
 
     from fden_ros.nodes.identifier import Identifier
 
-    inputs = {"surface.message": "pose", "frames.base": "base"}
+    inputs = {"frames.base": "base"}
     overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in inputs.items()]
     node = Identifier(context=context, parameter_overrides=overrides)
     try:

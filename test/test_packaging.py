@@ -503,7 +503,6 @@ def test_the_policy_names_what_the_running_node_has_and_nothing_else():
     parameters = {
         "autostart": True,
         "use_sim_time": True,
-        "surface.message": "pose",
         "frames.base": "base",
         "start_type_description_service": True,
     }

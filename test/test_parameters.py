@@ -40,7 +40,7 @@ from fden_ros.parameters import (
 )
 from fden_ros.parameters.table import parameter_named
 from fden_ros.ros.inputs import Inputs
-from simulation.disturbance import Disturbances, SurfaceMotion
+from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
     Dropout,
@@ -48,7 +48,6 @@ from simulation.scenario import (
     Geometry,
     Scenario,
     Site,
-    SurfaceSensor,
     Tissue,
 )
 from simulation.simulate import EXACT, Recording, simulate
@@ -224,9 +223,6 @@ READ = {
     "displacement.axis": ([2.0, 0.0, 0.0], "displacement", POINT, 0.3, 0.1),
     "displacement.name": ("b", "displacement", JOINTS, 0.1, 0.2),
     "displacement.inverted": (True, "displacement", JOINTS, 0.1, -0.1),
-    "surface.axis": ([-2.0, 0.0, 0.0], "surface", POINT, 0.3, -0.1),
-    "surface.name": ("b", "surface", JOINTS, 0.1, 0.2),
-    "surface.scale": (-0.5, "surface", JOINTS, 0.1, -0.05),
 }
 
 
@@ -235,7 +231,7 @@ def test_parameter_says_what_of_a_message_counts(name):
     value, stream, message, usual, expected = READ[name]
     for parameters, number in (({}, usual), ({name: value}, expected)):
         samples = Samples()
-        inputs = Inputs(check({"surface.message": "point"} | parameters), samples)
+        inputs = Inputs(check(parameters), samples)
         inputs.add(stream, message)
         assert samples.heard == [(stream, number)]
 
@@ -331,10 +327,6 @@ RECORDINGS: dict[str, dict[str, Any]] = {
     "biased": {"force": ForceSensor(200.0, noise_n=2e-4, bias_n=5e-4)},
     "late": {"displacement": DisplacementSensor(200.0, delay_s=0.02)},
     "yielding": {"disturbances": Disturbances(compliance_m_per_n=2e-3)},
-    "breathing": {
-        "disturbances": Disturbances(breathing=SurfaceMotion(1e-3)),
-        "surface": SurfaceSensor(100.0, noise_m=1e-6, message="joint_state"),
-    },
     "gap": {"dropouts": (Dropout("displacement", 2.0, 0.15),)},
     "slow": {
         "sites": on_liver(Ramp(0.03, 0.12, 1.0)),
@@ -493,7 +485,6 @@ def softer_by_the_time_scale(usual: Heard, changed: Heard) -> bool:
 
 RELATIVE = RIGID | {"classification.mode": "relative"}
 GIVEN = {"alpha.learn": False}
-MARKED = RIGID | {"surface.message": "joint_state"}
 DITHER = {"dither.frequencies": (2.0,)}
 
 #: Recording, other parameters, the value, and what it does to what comes out (usual, changed).
@@ -517,8 +508,6 @@ EFFECTS: dict[str, Effect] = {
     "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
     "displacement.delay_sd": ("plain", RIGID, 0.1, wider),
     "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
-    "surface.message": ("breathing", RIGID, "joint_state", lambda a, b: b.error < 0.2 * a.error),
-    "surface.delay": ("breathing", MARKED, -0.2, lambda a, b: b.sds[0] > 2.0 * a.sds[0]),
     "model_discrepancy.sd": (
         "plain",
         RIGID,

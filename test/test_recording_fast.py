@@ -47,8 +47,6 @@ def both_ways(
             "displacement.axis": [0.0, 0.2, -1.0],
             "force.inverted": True,
             "displacement.inverted": True,
-            "surface.message": "pose",
-            "surface.scale": -0.3,
             f"{what}.name": joint,
         }
     )
@@ -78,7 +76,6 @@ def fill(message: Any, frame: str, seconds: int, nanoseconds: int) -> Any:
         ("displacement", PoseStamped, lambda m: m.pose.position),
         ("displacement", PointStamped, lambda m: m.point),
         ("displacement", TransformStamped, lambda m: m.transform.translation),
-        ("surface", PointStamped, lambda m: m.point),
     ],
 )
 @given(frame=texts, child=texts, value=vectors, seconds=st.integers(-(2**31), 2**31 - 1))
@@ -96,7 +93,7 @@ def test_vectors_are_the_same_bit_for_bit(what, kind, part, frame, child, value,
 
 
 @given(
-    what=st.sampled_from(["force", "displacement", "surface"]),
+    what=st.sampled_from(["force", "displacement"]),
     names=st.lists(texts, max_size=5),
     lengths=st.tuples(*[st.integers(0, 6)] * 3),
     joint=st.integers(-1, 5),

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Options that several commands share: what of a recording is force, displacement, surface."""
+"""Options that several commands share: what of a recording is force, what is displacement."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_input_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_selection_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say where in a recording force, displacement and surface are."""
+    """Add the options that say where in a recording force and displacement are."""
     group = parser.add_argument_group(
         "what is force, what is displacement (found where it can be)"
     )
@@ -64,9 +64,9 @@ def add_selection_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--columns",
         type=as_argument(_columns),
-        metavar="T,F,D[,S]",
-        help="headings or numbers of a table's columns (CSV): time, force, displacement, perhaps "
-        "surface, each with an optional factor to s, N and m, as time_s,force_N,depth_mm*1e-3. "
+        metavar="T,F,D",
+        help="headings or numbers of a table's columns (CSV): time, force, displacement, "
+        "each with an optional factor to s, N and m, as time_s,force_N,depth_mm*1e-3. "
         "@500 as time: rows at 500 Hz. Not needed where headings name them with their units",
     )
     group.add_argument(

@@ -169,10 +169,6 @@ class Pipeline:
         add = self._synchronizer.add_transform
         self._feed(add, stamp_ns, parent, child, place, is_static=is_static)
 
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Take a place of the tissue's surface [m], positive into the tissue; it is taken off."""
-        self._feed(self._synchronizer.add_surface, stamp_ns, surface)
-
     def _feed(self, add: Callable[..., None], stamp_ns: int, *sample: Any, **named: Any) -> None:
         try:
             add(stamp_ns, *sample, **named)

@@ -3,7 +3,7 @@
 
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
-Subscribes to ``force``, ``displacement`` and, where it is measured, ``surface``; publishes
+Subscribes to ``force`` and ``displacement``; publishes
 ``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``,
 ``~/forget_rig`` and ``~/tare``.
 Everything that computes is in :mod:`fden_ros.core`; what is there while the node is active is in

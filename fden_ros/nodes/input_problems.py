@@ -34,7 +34,7 @@ _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 class ListenedTo:
     """One input of a node."""
 
-    stream: str  #: ``force``, ``displacement`` or ``surface``, the name before any remapping
+    stream: str  #: ``force`` or ``displacement``, the name before any remapping
     subscription: Subscription
 
     def problems(self, node: Node, *, has_come: bool) -> list[str]:
@@ -124,11 +124,7 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
         f"displacement.{Reason.MISSING_FIELD}": (
             "no joint of that name, or no position or orientation: set displacement.name"
         ),
-        f"surface.{Reason.MISSING_FIELD}": (
-            "no joint of that name, or no position: set surface.name"
-        ),
         f"force.{Reason.NO_TRANSFORM}": "are the stamps of the transforms of the same clock?",
-        f"force.{Reason.NO_SURFACE}": "are the header stamps of the surface of the same clock?",
     }
     for reason, _ in pipeline.rejected.most_common():
         if reason in mends:

@@ -56,7 +56,7 @@ FORCES: Mapping[str, MessageKind] = {
     ),
     "joint_state": MessageKind(_JOINTS, "effort", is_of_joints=True),
 }
-#: By the values of `displacement.message` and `surface.message`.
+#: By the values of `displacement.message`.
 PLACES: Mapping[str, MessageKind] = {
     "joint_state": MessageKind(_JOINTS, "position", is_of_joints=True),
     "pose": MessageKind(

@@ -52,7 +52,6 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         geometry=geometry,
         synchronize=replace(
             core.synchronize,
-            takes_surface=takes_surface(parameters),
             frames=frames_config(parameters),
             tool_path=_tool_path(parameters),
         ),
@@ -115,17 +114,6 @@ def _approach_axis(parameters: Parameters) -> Vector:
 def moves_probe(parameters: Parameters) -> bool:
     """Return whether the displacement is that of a frame, by transforms."""
     return parameters.displacement.message == "tf"
-
-
-def takes_surface(parameters: Parameters) -> bool:
-    """Return whether the place of the surface is measured."""
-    return parameters.surface.message != "none"
-
-
-def surface_axis(parameters: Parameters) -> Vector:
-    """Return the direction into the tissue in the frame of the surface's positions."""
-    axis = parameters.surface.axis
-    return unit_vector(axis if any(axis) else parameters.displacement.axis)
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:

@@ -82,40 +82,15 @@ class DisplacementInput:
 
 
 @dataclass(frozen=True)
-class SurfaceInput:
-    """Where the place of the tissue's surface is in its messages, where it is measured."""
+class SurfaceDirection:
+    """How the tissue's surface lies."""
 
-    message: str = parameter(
-        "surface.message",
-        "none",
-        "Type of the topic surface, whose place is subtracted from the displacement; a bag has "
-        "its own. none: it is not measured.",
-        choices=("none", *PLACES),
-    )
-    axis: Vector = parameter(
-        "surface.axis",
-        (0.0, 0.0, 0.0),
-        "Direction into the tissue, in the frame of the surface's positions; zeros: "
-        "displacement.axis.",
-        may_be_zero=True,
-    )
     normal: Vector = parameter(
         "surface.normal",
         (0.0, 0.0, 0.0),
         "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
         "frames.base; zeros: the probe stands upright.",
         may_be_zero=True,
-    )
-    name: str = parameter(
-        "surface.name", "", "Joint whose position is the surface's place; empty: the first."
-    )
-    scale: float = parameter(
-        "surface.scale",
-        1.0,
-        "Motion of the surface into the tissue in m per unit of its reading.",
-        "1",
-        -1000.0,
-        1000.0,
     )
 
 
@@ -143,7 +118,7 @@ class Parameters:
 
     force: ForceInput = ForceInput()
     displacement: DisplacementInput = DisplacementInput()
-    surface: SurfaceInput = SurfaceInput()
+    surface: SurfaceDirection = SurfaceDirection()
     frames: FrameNames = FrameNames()
     tool: ToolWeight = field(default_factory=ToolWeight)
     stamp_source: str = parameter(

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 from fden_ros.core.streams import Sink, conjugate, rotate
 from fden_ros.errors import Hint, InputError
-from fden_ros.parameters import Parameters, frames_config, moves_probe, takes_surface
+from fden_ros.parameters import Parameters, frames_config, moves_probe
 from fden_ros.recording.arm import arm_values
 from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.candidates import hint_of
@@ -39,7 +39,6 @@ from fden_ros.ros.inputs import (
     TYPE_NAMES,
     Inputs,
     NumberOrVector,
-    measured_inputs,
     stamp_ns,
     stream_of,
 )
@@ -104,7 +103,7 @@ def _open_table(path: Path, parameters: Parameters, selection: Selection) -> Tab
 
 
 class BagSource:
-    """A bag whose topics of force, displacement and, where it is measured, surface are known.
+    """A bag whose topics of force and displacement are known.
 
     It can be fed into a pipeline, once.
 
@@ -117,20 +116,13 @@ class BagSource:
     set_by_recording: tuple[str, ...] = ()
 
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
-        if "surface" in {*selection.topics, *selection.fields} and not takes_surface(parameters):
-            raise InputError(
-                "a topic of the surface is named, but surface.message is none: set it to "
-                "joint_state, pose, transform or point, or leave out --surface-topic"
-            )
         self.reader = BagReader(path)
         self.parameters = parameters
         self._selection = selection
         self._is_stamped = selection.stamps == "header" and parameters.stamp_source == "header"
         self._fields: dict[str, str | None] = {}
         self.topics: dict[str, Topic] = {}
-        # The surface and the like first: what carries them could be taken for the displacement.
-        wanted = measured_inputs(parameters)
-        wanted += ["force"] if moves_probe(parameters) else _ALWAYS
+        wanted = ("force",) if moves_probe(parameters) else _ALWAYS
         for stream in wanted:
             self._fields[stream] = selection.fields.get(stream)
             try:
@@ -211,7 +203,7 @@ class BagSource:
         names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
-        order = (*_ALWAYS, *measured_inputs(self.parameters), *TRANSFORM_TOPICS)
+        order = (*_ALWAYS, *TRANSFORM_TOPICS)
         return {stream.lstrip("/"): names[stream] for stream in order if stream in names}
 
     @property
@@ -381,14 +373,6 @@ class TableSource:
                 "replay a bag"
             )
         self._columns = selection.columns
-        if takes_surface(parameters) != (self._columns.surface is not None):
-            raise InputError(
-                "surface.message says that the surface is measured: name its column as the fourth "
-                "of --columns, or set surface.message to none"
-                if self._columns.surface is None
-                else "the fourth of --columns is the surface's place: set surface.message to "
-                "joint_state, so that it is subtracted from the displacement"
-            )
         self._table = TableReader(path, selection.columns, selection.where)
         find = arm_values if any(self._table.has_vectors) else machine_values
         values, self.set_by_recording = find(self._table, parameters, selection.from_touch)
@@ -406,10 +390,9 @@ class TableSource:
         columns = {
             "force": self._columns.force,
             "displacement": self._columns.displacement,
-            "surface": self._columns.surface,
             "time": self._columns.time,
         }
-        return {stream: self._table.named(column) for stream, column in columns.items() if column}
+        return {stream: self._table.named(column) for stream, column in columns.items()}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -422,8 +405,6 @@ class TableSource:
         is_turned = self.parameters.displacement.along_tool and not self._table.is_in_tool
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
-            if row.surface is not None:
-                inputs.places["surface"].add_value("", row.stamp_ns, row.surface)
             if row.displacement is not None:
                 place = inputs.places["displacement"]
                 place.add_value("", row.stamp_ns, row.displacement, row.turn)

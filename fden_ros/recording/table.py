@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings as text tables: columns of time, force, displacement and perhaps surface."""
+"""Recordings as text tables: columns of time, force and displacement."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _REPEATED = 0.2
 
 
 class Row(NamedTuple):
-    """One row: a stamp (ns), a force [N], a displacement and the surface's place [m].
+    """One row: a stamp (ns), a force [N] and a displacement [m].
 
     None where the row has nothing of it. Force and displacement are numbers or vectors.
     """
@@ -56,7 +56,6 @@ class Row(NamedTuple):
     stamp_ns: int
     force: NumberOrVector | None
     displacement: NumberOrVector | None
-    surface: float | None = None
     turn: Quaternion | None = None  #: of the tool, where the displacement is a pose
 
 
@@ -81,21 +80,19 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """Where a table has time, force, displacement and, if it does, the surface's place."""
+    """Where a table has time, force and displacement."""
 
     time: Column
     force: Column
     displacement: Column
-    surface: Column | None = None
 
     def __str__(self) -> str:
         return ",".join(str(column) for column in self.each)
 
     @property
     def each(self) -> list[Column]:
-        """Those that there are."""
-        columns = (self.time, self.force, self.displacement, self.surface)
-        return [column for column in columns if column is not None]
+        """All of them."""
+        return [self.time, self.force, self.displacement]
 
     @property
     def headings(self) -> list[str]:
@@ -112,15 +109,15 @@ class Columns:
         Raises
         ------
         InputError
-            If `text` is not three columns, or four with the surface's.
+            If `text` is not three columns.
         """
         parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [])]
         matches = [_COLUMN.fullmatch(part) for part in parts]
-        if len(parts) not in (3, 4) or not all(matches):
+        if len(parts) != 3 or not all(matches):
             raise InputError(
                 f"{text!r} is not TIME,FORCE,DISPLACEMENT: expected headings or numbers of three "
-                "columns, or four with the surface's, each with an optional factor to s, N and m, "
-                "such as time_s,force_N,depth_mm*1e-3"
+                "columns, each with an optional factor to s, N and m, such as "
+                "time_s,force_N,depth_mm*1e-3"
             )
         return Columns(
             *(
@@ -273,8 +270,6 @@ class TableReader:
             self._reader("force", columns.force),
             self._reader("displacement", columns.displacement),
         ]
-        if columns.surface is not None:
-            self._numbers.append(self._number("displacement", columns.surface))
         self._where = (self._index(where[0]), where[1]) if where is not None else None
 
     @property
@@ -379,9 +374,8 @@ class TableReader:
             else:
                 self._timed, self._span_ns, last = self._rows - begun, stamp_ns - begin, stamp_ns
             self._rows += 1
-            force, displacement, *others = values
-            surface = others[0] if others and isinstance(others[0], float) else None
-            yield Row(stamp_ns + shift, force, displacement, surface, turn)
+            force, displacement = values
+            yield Row(stamp_ns + shift, force, displacement, turn)
 
     def _skip(self, line: int, cells: Sequence[str]) -> None:
         if not self.skipped:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which topics of a bag are the force, the displacement and the surface."""
+"""Which topics of a bag are the force and the displacement."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
-    "surface": {"surface", "marker", "skin", "breathing", "respiration", "ultrasound", "laser"},
 }
 
 
@@ -48,7 +47,7 @@ def find_topic(
     present : sequence of Topic
     name : str or None
     stream : str
-        ``force``, ``displacement`` or ``surface``.
+        ``force`` or ``displacement``.
     others : collection of Topic
         The topics of the other quantities, which are no candidates.
 

@@ -77,7 +77,7 @@ def fast_handler(stream: str, kind: str, inputs: Inputs) -> Handler | None:
     Parameters
     ----------
     stream : str
-        ``force``, ``displacement`` or ``surface``.
+        ``force`` or ``displacement``.
     kind : str
         Name of the type of its messages.
     inputs : Inputs

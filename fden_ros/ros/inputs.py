@@ -28,8 +28,6 @@ from fden_ros.parameters import (
     Parameters,
     frames_config,
     kind_of,
-    surface_axis,
-    takes_surface,
     tool_weight,
     unit_vector,
 )
@@ -42,7 +40,6 @@ _PLACES = {value: kind.type_name for value, kind in PLACES.items()}
 TYPE_NAMES: Mapping[str, Mapping[str, str]] = {
     "force": {value: kind.type_name for value, kind in FORCES.items()},
     "displacement": _PLACES,
-    "surface": _PLACES,
     "/tf": {"transforms": TRANSFORMS},
     "/tf_static": {"transforms": TRANSFORMS},
 }
@@ -59,13 +56,6 @@ def stamp_ns(stamp: Any) -> int:
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
-def measured_inputs(parameters: Parameters) -> list[str]:
-    """Return the inputs that parameters ask for beside force, displacement and transforms."""
-    always = ("force", "displacement", *TRANSFORM_TOPICS)
-    others = [name for name in TYPE_NAMES if name not in always]
-    return [name for name in others if getattr(parameters, name).message != "none"]
-
-
 def stream_of(name: str) -> str:
     """Return the stream that rejected messages of an input are counted under."""
     return "transform" if name in TRANSFORM_TOPICS else name
@@ -77,7 +67,7 @@ class Places:
     Parameters
     ----------
     stream : str
-        ``displacement`` or ``surface``, as rejected samples are counted.
+        As rejected samples are counted.
     axis : Position
         What positions are projected on.
     factor : float
@@ -190,8 +180,7 @@ class Inputs:
     force_joint : str
         Joint that is asked for; empty: the first.
     places : dict
-        By the name of the input, the streams of places: ``displacement``, and ``surface`` where it
-        is measured.
+        By the name of the input, the streams of places: ``displacement``, where it is a topic.
     """
 
     def __init__(self, parameters: Parameters, sink: Sink) -> None:
@@ -217,17 +206,6 @@ class Inputs:
                 sink,
                 self._take_displacement,
                 takes_orientation=self._tool is not None or self._is_along_tool,
-            )
-        if takes_surface(parameters):
-            scale = parameters.surface.scale
-            x, y, z = surface_axis(parameters)
-            self.places["surface"] = Places(
-                "surface",
-                (scale * x, scale * y, scale * z),
-                scale,
-                parameters.surface.name,
-                sink,
-                lambda stamp, surface, position, orientation: sink.add_surface(stamp, surface),
             )
         self.reset()
 

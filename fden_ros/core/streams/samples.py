@@ -28,8 +28,6 @@ class Reason:
     FUTURE_STAMP = "future_stamp"
     UNPAIRED = "unpaired"
     DISPLACEMENT_GAP = "displacement_gap"
-    NO_SURFACE = "no_surface"
-    SURFACE_GAP = "surface_gap"
     NO_TRANSFORM = "no_transform"
     TRANSFORM_GAP = "transform_gap"
     OTHER_PARENT = "other_parent"
@@ -61,7 +59,6 @@ class Pair(NamedTuple):
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
     tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
-    surface: float = 0.0  #: place of the surface that was taken off the displacement [m]
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:
@@ -106,10 +103,6 @@ class Sink(Protocol):
         is_static: bool,
     ) -> None:
         """Take where a frame is in its parent [m], and its rotation as a quaternion."""
-        return
-
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Take a place of the tissue's surface, along the displacement [m]."""
         return
 
     def reject(self, stream: str, reason: str) -> None:

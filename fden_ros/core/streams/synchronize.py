@@ -4,7 +4,7 @@
 """Streams of stamped samples into pairs: all others interpolated to the stamps of the force.
 
 A force waits for one stream after the other: for the displacements around its stamp, the
-transforms and the surface, where they are measured: :class:`~fden_ros.core.streams.join.Join`.
+transforms, where they are needed: :class:`~fden_ros.core.streams.join.Join`.
 """
 
 from __future__ import annotations
@@ -67,16 +67,6 @@ class SynchronizeConfig:
         TINY,
         1e9,
     )
-    surface_delay: float = parameter(
-        "surface.delay",
-        0.0,
-        "How much later than the force the surface is stamped for the same instant.",
-        "s",
-        -10.0,
-        10.0,
-    )
-    #: A force waits for the surface around it too, which is subtracted from the displacement.
-    takes_surface: bool = False
     #: A force waits for the transforms around it too, whose stamps lag like the displacement's.
     frames: FramesConfig | None = None
     #: The displacement is the probe's along its own axis.
@@ -117,14 +107,7 @@ class Synchronizer:
             is_vector=config.tool_path is not None,
         )
         self._displacements = self._join(
-            self.displacement_guard,
-            config.displacement_delay,
-            Reason.UNPAIRED,
-            Reason.DISPLACEMENT_GAP,
-        )
-        guard = StreamGuard(config.displacement_limit, rejected, "surface")
-        self._surfaces = self._join(
-            guard, config.surface_delay, Reason.NO_SURFACE, Reason.SURFACE_GAP
+            self.displacement_guard, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP
         )
         self.frames: Frames | None = None
         self._moves_probe = False  # the transforms give the displacement
@@ -141,22 +124,20 @@ class Synchronizer:
     def _order_joins(self) -> None:
         first = [] if self._moves_probe else [self._displacements]
         links = self.frames.joins if self.frames is not None else []
-        last = [self._surfaces] if self._config.takes_surface else []
-        self._joins = [*first, *links, *last]
+        self._joins = [*first, *links]
 
     def _link(self) -> Join:
         """Return what lets forces wait for a link between frames."""
-        config = self._config
-        guard = StreamGuard(config.displacement_limit, self._rejected, "transform", is_vector=True)
-        delay = config.displacement_delay
-        return self._join(guard, delay, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
+        limit = self._config.displacement_limit
+        guard = StreamGuard(limit, self._rejected, "transform", is_vector=True)
+        return self._join(guard, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
 
-    def _join(self, guard: StreamGuard, delay: float, unpaired: str, gap: str) -> Join:
-        """Return what lets forces wait for a stream whose stamps lag by `delay` [s]."""
+    def _join(self, guard: StreamGuard, unpaired: str, gap: str) -> Join:
+        """Return what lets forces wait for a stream whose stamps lag."""
         limits = JoinLimits(
             max_gap_ns=round(self._config.max_gap * NANOSECONDS),
             window_ns=round(self._config.max_wait * NANOSECONDS),
-            delay_ns=round(delay * NANOSECONDS),
+            delay_ns=round(self._config.displacement_delay * NANOSECONDS),
             unpaired=unpaired,
             gap=gap,
         )
@@ -171,11 +152,11 @@ class Synchronizer:
     def path_noise(self) -> float:
         """Return the noise of the motion: variance per sample times the time between [m^2 s].
 
-        From the distances of the last 256 samples of displacement, surface and transforms from the
-        lines between their neighbours, or from the steps in which they come; 0 while there are
+        From the distances of the last 256 samples of displacement and transforms from the lines
+        between their neighbours, or from the steps in which they come; 0 while there are
         fewer than 32.
         """
-        streams = (self._displacements.passed, self._surfaces.passed, self._moved)
+        streams = (self._displacements.passed, self._moved)
         return sum(_noise_of(passed.samples) for passed in streams)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
@@ -214,11 +195,6 @@ class Synchronizer:
         """
         self._displacements.follow(stamp_ns, displacement, position, load, turn)
 
-    def add_surface(self, stamp_ns: int, surface: float) -> None:
-        """Add a place of the tissue's surface, along the displacement [m]."""
-        if self._config.takes_surface:
-            self._surfaces.follow(stamp_ns, surface)
-
     def _lead(self, forces: tuple[Sample, ...], frame: str = "") -> None:
         for force in forces:
             if self.frames is None or self._joins:
@@ -256,20 +232,11 @@ class Synchronizer:
         first = 0 if self._moves_probe else 1
         links = matched[first : first + count]
         displacement, position, tilt = self._motion(force, matched, links)
-        place = matched[-1].value if self._config.takes_surface else 0.0
         key = force.epoch, force.stamp_ns
         for passed in (self._moved, *(join.passed for join in self._joins)):
             passed.until(key)
-        self._on_pair(
-            Pair(
-                *key,
-                self._force(force, matched, links),
-                displacement - place,
-                position,
-                tilt,
-                place,
-            )
-        )
+        value = self._force(force, matched, links)
+        self._on_pair(Pair(*key, value, displacement, position, tilt))
 
     def _force(self, force: Sample, matched: Matched, links: Matched) -> float:
         """Return the force along its axis, the tool's weight taken off [N]."""
