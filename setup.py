@@ -111,7 +111,6 @@ setup(
             "fden = fden_ros.cli:program",
             "identifier = fden_ros.nodes.programs:identifier",
             "tissue_simulator = fden_ros.nodes.programs:tissue_simulator",
-            "planner = fden_ros.nodes.programs:planner",
             "force_controller = fden_ros.nodes.programs:force_controller",
         ]
     },

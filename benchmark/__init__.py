@@ -22,8 +22,6 @@ BENCHMARKS: dict[str, str] = {
     "robots": "what a real rig adds: breathing, compliance, hum; errors and contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are reported; false ones",
     "classification": "probabilities that mean what they say, the unknown, real tissue",
-    "plan": "what a plan expects of a press, and what the identifier states after it",
-    "region": "presses until what is stiffer is found, by proposals and by a raster",
     "replay": "a sample and a filter's step; speed of replay and of decoding",
     "node": "the node next to a bare relay on real DDS: losses, CPU, latency, memory",
 }

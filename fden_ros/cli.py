@@ -38,7 +38,6 @@ COMMANDS = {
     "train": "learn a tissue library from labelled contacts",
     "fit": "identify from a laboratory's experiment (CSV)",
     "configure": "propose a parameter file from recordings of an unknown probe",
-    "plan": "which press to make next",
     "parameters": "print every parameter of the identifier, explained",
     "benchmark": "measure accuracy and speed against their goals",
     "monitor": "show a running identifier in the terminal",

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from pipeline_helpers import identified, items_of, parameters_of, summaries_of
 
-from fden_ros.core.estimation import Advanced, Parts, search
+from fden_ros.core.estimation import search
+from fden_ros.core.estimation.parts import Advanced, Parts
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.oscillation import palpation_frequency
 from simulation.scenario import ramp_scenario

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fden_msgs.msg import PalpationSummary, TissueEstimate
+from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from live_helpers import (
     LIMIT,
@@ -51,11 +51,9 @@ from fden_ros.core.outputs import (
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.planning.region import Presses, Region
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
-from fden_ros.ros.topics import latched
-from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig, phantom
+from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig
 from fden_ros.tissue_feed import TissueFeed
 from simulation.simulate import EXACT
 
@@ -251,32 +249,6 @@ def test_the_live_system_starts_and_ends_with_its_terminal_or_its_parent(number,
         ears.wait_for(
             lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"
         )
-
-
-def test_the_planner_s_presses_are_made_and_drawn(tmp_path):
-    picture = tmp_path / "map.png"
-    region = Region((0.0, 0.0), (phantom.SIDE, phantom.SIDE))
-    first = region.propose(Presses.of([])).places[0]
-    with Ears() as ears:
-        summaries = ears.hear(PalpationSummary, "/fden_live/identifier/palpation", latched(100))
-        command = [sys.executable, "-m", "fden_ros.cli", "live", "--plan", str(picture)]
-        with process_of(command) as live:
-            ears.wait_for(lambda: len(summaries) > 1, "two presses")
-            live.send_signal(signal.SIGINT)
-            assert live.wait(LIMIT) == 0
-    places = [[one.position.x, one.position.y] for one in summaries[:2]]
-    second = region.propose(Presses(np.array([first]), np.zeros(1), np.ones(1))).places[0]
-    np.testing.assert_allclose(places, [first, second], atol=2e-4)
-    assert summaries[0].max_force < 3.0
-    stiffer = phantom.is_stiffer(np.array(places))
-    truth = phantom.LINEAR_STIFFNESS * phantom.FACTOR**stiffer
-    found, deviation = np.transpose(
-        [(one.linear_stiffness, one.linear_stiffness_sd) for one in summaries[:2]]
-    )
-    assert np.all(np.abs(found - truth) < 4.0 * deviation), (found, deviation)
-    assert np.all(deviation < 0.25 * truth), deviation
-    assert "presses; press at (" in live.output and "planner" in live.output
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 # What a controller is told: of states directly, and of a live identifier that freezes or dies

@@ -261,9 +261,9 @@ def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_what_needs_ros_says_so_in_one_line_without():
     code = "import sys; sys.modules['rclpy'] = None; from fden_ros import cli; "
-    code += "from fden_ros.nodes import programs; cli.main(['monitor', '/x']); programs.planner()"
+    code += "from fden_ros.nodes import programs as p; cli.main(['monitor', '/x']); p.identifier()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    words = r"(fden monitor|planner): this needs ROS 2 \(.*rclpy.*\[wheels\].*"
+    words = r"(fden monitor|identifier): this needs ROS 2 \(.*rclpy.*\[wheels\].*"
     lines = done.stderr.splitlines()
     assert len(lines) == 2 and all(re.fullmatch(words, line) for line in lines), done.stderr
 
@@ -341,7 +341,6 @@ ROOMS = (
     "core.outlet",
     "core.pipeline",
     "core",  # its public names
-    "planning",
     "simulation",
     "tissues",
     "parameters",

@@ -22,7 +22,6 @@ from fden_ros.parameters import Parameters
 from fden_ros.recording.message_types import message_class
 from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import type_name
-from fden_ros.ros.region_messages import FIELDS as REGION_FIELDS
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
@@ -33,12 +32,7 @@ TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTP
     "/force": "geometry_msgs/msg/WrenchStamped",
     "/displacement": TYPE_NAMES["displacement"][Parameters().displacement.message],
 }
-PLANNER_TYPES = {
-    "/planner/region_map": "sensor_msgs/msg/PointCloud2",
-    "/planner/boundary": "visualization_msgs/msg/Marker",
-}
 DISPLAYS = {
-    "Marker": "visualization_msgs/msg/Marker",
     "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "Pose": "geometry_msgs/msg/PoseStamped",
     "Wrench": "geometry_msgs/msg/WrenchStamped",
@@ -110,16 +104,13 @@ def test_every_path_of_the_foxglove_layout_exists():
 def test_every_display_of_rviz_has_a_topic_of_its_type():
     manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
     shown = [d for d in manager["Displays"] if "Topic" in d]
-    assert len(shown) == 5
-    fields = {
-        "identifier/stiffness_map": {field.name for field in StiffnessMap().cloud().fields},
-        "planner/region_map": set(REGION_FIELDS),
-    }
+    assert len(shown) == 3
+    fields = {"identifier/stiffness_map": {field.name for field in StiffnessMap().cloud().fields}}
     for display in shown:
         kind, topic = display["Class"].rpartition("/")[2], display["Topic"]["Value"]
         assert kind != "PointCloud2" or display["Channel Name"] in fields[topic]
         # RViz shows the probe where it is published as a pose; a joint has no place.
-        types = TYPES | PLANNER_TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
+        types = TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
         # Below the namespace of RViz itself, as rcl expands a name.
         for namespace in ("/", "/left"):
             name = expand_topic_name(topic, "rviz", namespace)

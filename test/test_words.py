@@ -37,9 +37,9 @@ from fden_ros.core.outputs import (
     Flag,
 )
 from fden_ros.offline.advice import shortfall
+from fden_ros.offline.remedies import WORDS
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.planning.remedies import WORDS
 from fden_ros.report.numbers import result
 from fden_ros.report.table import contact_table
 from fden_ros.ros.messages import classification_message, summary_message, summary_of

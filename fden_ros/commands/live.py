@@ -13,21 +13,16 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import yaml
-
-from fden_ros.commands.command import positive, write_picture
+from fden_ros.commands.command import positive
 from fden_ros.commands.monitor import ending_signals, watch
 from fden_ros.errors import InputError
-from fden_ros.simulation import phantom
 
 if TYPE_CHECKING:
-    from fden_ros.core.outputs import ContactSummary
     from fden_ros.nodes.monitor import Monitor
 
 DESCRIPTION = """\
@@ -41,7 +36,6 @@ examples:
   fden live                          the controller presses four sites, one with an inclusion
   fden live --fixed                  the same with fixed gains
   fden live --duration 30            for half a minute
-  fden live --plan map.png           a planner says where to press a square with a stiffer disc
 """
 
 NAMESPACE = "/fden_live"
@@ -61,15 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="parameters of the three nodes (default: config/tissue_simulator.yaml)",
     )
     parser.add_argument("--fixed", action="store_true", help="fixed gains")
-    parser.add_argument(
-        "--plan",
-        nargs="?",
-        type=Path,
-        const=Path("map.png"),
-        metavar="PICTURE",
-        help="press a region as the node planner proposes; at the end draw presses, map and truth "
-        "(default: map.png)",
-    )
     parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
 
@@ -85,19 +70,10 @@ def run(args: argparse.Namespace) -> int:
         "identifier": "autostart:=true",
         "force_controller": f"scheduled:={str(not args.fixed).lower()}",
     }
-    summaries: tuple[ContactSummary, ...] = ()
-    with contextlib.ExitStack() as opened:
-        if args.plan is not None:
-            folder = Path(opened.enter_context(tempfile.TemporaryDirectory()))
-            path = _planning(folder, path, shipped("config/priors/liver.yaml"))
-            settings["planner"] = ""
-        nodes = opened.enter_context(_running(path, NAMESPACE, settings))
-
+    with _running(path, NAMESPACE, settings) as nodes:
         parent, is_bound = os.getppid(), signal.SIGHUP in ending_signals()
 
         def look(monitor: Monitor) -> None:
-            nonlocal summaries
-            summaries = monitor.summaries
             if is_bound and os.getppid() != parent:
                 raise KeyboardInterrupt
             for name, process in nodes.items():
@@ -114,54 +90,7 @@ def run(args: argparse.Namespace) -> int:
                 raise
     with contextlib.suppress(OSError):  # of a terminal that is gone
         print("stopped " + ", ".join(nodes), flush=True)
-    if args.plan is not None:
-        _draw(args.plan, summaries)
     return 0
-
-
-def _planning(folder: Path, usual: Path, prior: Path) -> Path:
-    """Write the nodes' parameters with which a phantom is pressed as a planner proposes."""
-    from fden_ros.nodes import tissue_simulator
-    from fden_ros.parameters import read_sections
-
-    simulated = {name: default for name, default, _ in tissue_simulator.PARAMETERS}
-    for section in read_sections(usual):
-        if section.is_for(f"{NAMESPACE}/tissue_simulator"):
-            simulated |= section.values
-    planned: dict[str, dict[str, Any]] = {
-        "tissue_simulator": phantom.parameters(),
-        "planner": {
-            "parameters": [str(usual), str(prior)],
-            "noise": simulated["force.noise"],
-            "rate": simulated["force.rate"],
-            "displacement_noise": simulated["displacement.noise"],
-        },
-        "force_controller": {
-            "planner": "planner",
-            "region": [0.0, 0.0, phantom.SIDE, phantom.SIDE],
-            "force_limit": 3.0,
-            "lift": 0.002,
-        },
-    }
-    tree = {f"{NAMESPACE}/{name}": {"ros__parameters": more} for name, more in planned.items()}
-    path = folder / "plan.yaml"
-    path.write_text(f"{usual.read_text(encoding='utf-8')}\n{yaml.safe_dump(tree)}", "utf-8")
-    return path
-
-
-def _draw(path: Path, summaries: Iterable[ContactSummary]) -> None:
-    """Draw the presses, the map that they tell and the truth; say what is known."""
-    from fden_ros.planning.region import Presses, Region
-    from fden_ros.report.region_picture import draw_region
-
-    presses = Presses.found(summaries)
-    if not presses.is_told.any():
-        raise InputError("no press gave a stiffness: there is nothing to draw")
-    region = Region((0.0, 0.0), (phantom.SIDE, phantom.SIDE))
-    found = region.propose(presses)
-    print(f"{len(presses.logs)} presses; {found.line()}")
-    truth = phantom.is_stiffer(region.cells)
-    write_picture(path, lambda figure: draw_region(figure, region, presses, found, truth))
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@
 
 Subscribes to ``force``, ``displacement`` and ``target_force``; publishes ``command`` (velocity),
 ``~/gains`` and ``~/stiffness``. The law is in :mod:`fden_ros.control.force_control`. With a
-program it presses one site after the other by itself, with a planner those that it proposes.
+program it presses one site after the other by itself.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from std_msgs.msg import Float64, String
 
 from fden_ros.control import Cause, ForceControlConfig, ForceController
 from fden_ros.errors import InputError
-from fden_ros.nodes.planned_presses import PlannedPresses
 from fden_ros.nodes.running import declared, run_node
 from fden_ros.ros.topics import latched
 from fden_ros.tissue_feed import TissueFeed
@@ -52,8 +51,6 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("program.duration", 3.0, "of each force [s]"),
     ("program.x", [0.0], "places to press, one after the other [m]"),
     ("program.y", [0.0], "second coordinate of the places [m]"),
-    ("planner", "", "name of the planner whose presses are made, by depth; empty: none"),
-    ("region", [0.0], "x0, y0, x1, y1 of the region that the planner is asked for [m]"),
 )
 _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 #: After 0.1 s without a force the probe is stopped [s].
@@ -79,7 +76,6 @@ class ForceControllerNode(Node):
             )
         )
         self._places = _places(values["program.x"], values["program.y"])
-        self._planned = self._presses_of(values) if values["planner"] else None
         self._feed = TissueFeed(
             self,
             self.resolve_topic_name(str(values["identifier"])),
@@ -129,9 +125,6 @@ class ForceControllerNode(Node):
             self._tare(force, now)
             return
         force -= self._bias
-        if self._planned is not None:
-            self._send(velocity=self._planned.velocity(now, force, self._depth, self._place))
-            return
         self._follow_program(now)
         found = self._feed.stiffness(1.0 / self._values["bandwidth"])
         known = found[:2] if found is not None else None
@@ -171,16 +164,6 @@ class ForceControllerNode(Node):
         self._target = float(forces[step])
         if self._target <= 0.0 and self._depth < 0.0:
             self._move_to(*self._places[(site + 1) % len(self._places)])
-
-    def _presses_of(self, values: dict[str, Any]) -> PlannedPresses:
-        return PlannedPresses(
-            self,
-            self.resolve_topic_name(str(values["planner"])),
-            values["region"],
-            force_limit=values["force_limit"],
-            lift=values["lift"],
-            move_to=self._move_to,
-        )
 
     def _move_to(self, x: float, y: float) -> None:
         self._command.publish(JointState(name=["x", "y"], position=[x, y]))

@@ -45,7 +45,6 @@ def _run(name: str) -> int:
 
 identifier = functools.partial(_run, "identifier")
 tissue_simulator = functools.partial(_run, "tissue_simulator")
-planner = functools.partial(_run, "planner")
 force_controller = functools.partial(_run, "force_controller")
 
 if __name__ == "__main__":

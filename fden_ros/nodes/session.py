@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -22,14 +21,13 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.time import Time
 
-from fden_ros.core.estimation import Advanced
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Input, Taken, loss_counter, taker
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.lag import Lag
 from fden_ros.nodes.qos_overrides import OVERRIDABLE
-from fden_ros.offline.advice import shortfall_in_parts
+from fden_ros.offline.advice import shortfall
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.message_types import decoder, message_class
@@ -79,7 +77,6 @@ class Session:
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
         self.lacks = ""  #: the newest contact to converge, and what would help
-        self._advice: tuple[int, Advanced[str]] | None = None  # for a contact
         self._is_open = False
         self._lag_deadline = 0.0
         self._read_lag_deadline()
@@ -112,7 +109,6 @@ class Session:
     def finish(self) -> None:
         """Report the open contact; listen no more."""
         self.pipeline.finish()
-        self._finish_advice()
         self._log_failures()
         self.close()
 
@@ -166,9 +162,6 @@ class Session:
             if not self._is_open:
                 return
             self.backlog.work()
-            # No press waits for it.
-            if not self.backlog.waiting and not self.pipeline.in_contact:
-                self._advise()
 
     # Out
 
@@ -178,8 +171,9 @@ class Session:
             output = self._with_lag(output)
         self._publish_messages(output)
         if isinstance(output, ContactSummary):
-            advice = partial(shortfall_in_parts, output, self.pipeline.config)
-            self._advice = output.contact_id, Advanced(advice)
+            self.lacks = shortfall(output, self.pipeline.config)
+            if self.lacks:
+                self._node.get_logger().info(f"contact {output.contact_id}: {self.lacks}")
 
     def _with_lag(self, state: TissueState) -> TissueState:
         """Return a state with its age: from the receipt of the sample that completed it to now."""
@@ -190,20 +184,6 @@ class Session:
 
     def _read_lag_deadline(self) -> None:
         self._lag_deadline = float(self._node.get_parameter("lag_deadline").value)
-
-    def _advise(self) -> None:
-        """Go on with what the newest contact lacks, by a part."""
-        if self._advice is not None and self._advice[1].advance(1):
-            self._finish_advice()
-
-    def _finish_advice(self) -> None:
-        """Say what the newest contact lacks, if it was not said."""
-        if self._advice is None:
-            return
-        (contact_id, advice), self._advice = self._advice, None
-        self.lacks = advice.result()
-        if self.lacks:
-            self._node.get_logger().info(f"contact {contact_id}: {self.lacks}")
 
     def _publish_messages(self, output: Output) -> None:
         output = placed(output, self.inputs.displacement_frame)

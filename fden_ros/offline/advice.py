@@ -7,26 +7,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import Budget, Estimate, EstimatorConfig, Parts, ended
+from fden_ros.core.estimation import Budget, Estimate, EstimatorConfig
 from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
-from fden_ros.core.streams import NANOSECONDS
-from fden_ros.errors import InputError
-from fden_ros.planning.motion import Sensors
-from fden_ros.planning.plan import Plan, Search
-from fden_ros.planning.remedies import (
-    LARGEST_COMPRESSION,
-    WORDS,
-    Case,
-    quantity,
-    remedy,
-    uncover,
-)
-from fden_ros.planning.tissue import TissueBelief
-from fden_ros.written import written
+from fden_ros.offline.remedies import LARGEST_COMPRESSION, WORDS, Case, remedy, uncover
+from fden_ros.written import quantity, written
 
 #: Sources named at most.
 _NAMED = 4
@@ -36,28 +22,19 @@ _NAMES = ("G", "Gn")
 
 
 def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what `shortfall_in_parts` does, all of it now."""
-    return ended(shortfall_in_parts(summary, config))
-
-
-def shortfall_in_parts(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
     """Return what a contact that has not converged lacks, why, and what would help.
 
     Empty where it has converged, or where a flag or the end of a range says why.
     """
-    why, mend = _reason(summary, config), (yield from _cure(summary, config))
+    why, mend = _reason(summary, config), cure(summary, config)
     return f"{why}; {mend}" if why and mend else why
 
 
 def cure(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return the press that would settle a contact that has not converged, else what would help.
+    """Return what would help a contact that has not converged.
 
     Empty: nothing is known that would.
     """
-    return ended(_cure(summary, config))
-
-
-def _cure(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
     estimate, budget = summary.estimate, summary.budget
     if summary.flags & Flag.TOUCH_NOT_OBSERVED and not summary.is_of_path:
         return "begin 1 s in the air, and touch faster or with a larger face, for G and Gn"
@@ -65,12 +42,7 @@ def _cure(summary: ContactSummary, config: PipelineConfig) -> Parts[str]:
         return ""
     if budget is not None and _is_linear_part_hidden(estimate, budget):
         return uncover(budget, config.geometry, estimate.boundary_stress)
-    planned = yield from _next_press(summary, config)
-    if planned is not None and planned.is_possible:
-        return planned.line()
     mend = _by_largest_source(summary, config)
-    if planned is not None and planned.is_worth_it:
-        return f"{planned.line()}; else: {mend}" if mend else planned.line()
     if not estimate.determines(1):
         gn = estimate.nonlinear_stiffness
         return mend or deeper(summary.max_strain, gn, config.geometry)
@@ -93,20 +65,6 @@ def _by_largest_source(summary: ContactSummary, config: PipelineConfig) -> str:
         summary.max_strain,
     )
     return remedy(case)
-
-
-def _next_press(summary: ContactSummary, config: PipelineConfig) -> Parts[Plan | None]:
-    estimate, budget = summary.estimate, summary.budget
-    seconds = (summary.end_ns - summary.start_ns) / NANOSECONDS
-    if estimate is None or budget is None or not budget.stress_noise or seconds <= 0.0:
-        return None
-    noise = budget.stress_noise / config.geometry.stress_per_force
-    sensors = Sensors(max(summary.sample_count / seconds, 1.0), noise)
-    try:
-        search = Search(config, sensors, tissue=TissueBelief.found(estimate))
-        return (yield from search.in_parts())
-    except (InputError, np.linalg.LinAlgError):
-        return None
 
 
 def deeper(strain: float, gn: float, geometry: Geometry) -> str:

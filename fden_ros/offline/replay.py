@@ -18,7 +18,6 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.offline import thickness
 from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
-from fden_ros.planning.tissue import TissueBelief
 from fden_ros.progress import progress as bar
 from fden_ros.recording.bag_files import RawMessage
 from fden_ros.recording.source import Selection, open_source
@@ -266,7 +265,7 @@ def _other_law_object(estimate: Estimate | None) -> dict[str, Any] | None:
 
 def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:
     """Return the modes of (ln G, ln Gn, alpha), whose moments are mean and covariance."""
-    members = TissueBelief.found(estimate).members if estimate is not None else ()
+    members = estimate.mixture if estimate is not None else ()
     return [
         {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
         for m in members

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, hayes_factor
 from fden_ros.core.plausibility import UNKNOWN_AREA
-from fden_ros.planning.remedies import quantity
+from fden_ros.written import quantity
 
 #: So far off a thick tissue is taken as good [1].
 _GOOD = 1.1

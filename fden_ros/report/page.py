@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime, timezone
 from typing import Any
 
@@ -19,11 +19,9 @@ from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, is_path
 from fden_ros.offline.remarks import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
-from fden_ros.planning.region import Presses, Region
 from fden_ros.report import plots
 from fden_ros.report.numbers import DASH, law, order, parameter, result, stiffness
 from fden_ros.report.path_picture import draw_path
-from fden_ros.report.region_picture import draw_region
 from fden_ros.report.sentence import sentence
 from fden_ros.report.style import draw
 from fden_ros.report.table import bracketed, label_words, status_words
@@ -32,8 +30,6 @@ from fden_ros.written import written
 #: Stamps before this are no dates, but times since something else began.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
 _OPEN_CONTACTS = 8
-#: Places from which a map is drawn [1].
-_LEAST_OF_REGION = 9
 #: Of the picture of a path [inch].
 _PATH_SIZE = (10.8, 5.0)
 
@@ -69,7 +65,6 @@ def page(session: Session) -> str:
         site_map=(
             plots.site_map(session) if any(s.position for s in summaries) and not on_path else None
         ),
-        region=None if on_path else _region(summaries),
         is_path=on_path,
         rows=[
             _row(s, on_path=on_path, alone=s.contact_id in session.replay.with_stiffness_alone)
@@ -88,16 +83,6 @@ def _comparison(session: Session, *, on_path: bool) -> str | None:
     if on_path:
         return draw(functools.partial(draw_path, summaries=summaries), _PATH_SIZE)
     return plots.comparison(session) if any(s.estimate for s in summaries) else None
-
-
-def _region(summaries: Sequence[ContactSummary]) -> str | None:
-    """Return the map of what is stiffer, where a region was pressed."""
-    presses = Presses.found(summaries)
-    if presses.is_told.sum() < _LEAST_OF_REGION or not presses.is_spread:
-        return None
-    region = Region.around(presses)
-    found = region.propose(presses)
-    return draw(lambda figure: draw_region(figure, region, presses, found), _PATH_SIZE)
 
 
 def _facts(session: Session) -> Iterator[tuple[str, str]]:

@@ -41,7 +41,6 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.streams import NANOSECONDS
-from fden_ros.planning.tissue import TissueBelief
 from fden_ros.ros.inputs import stamp_ns
 
 #: Fields of the messages: of loading, of unloading.
@@ -136,7 +135,7 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
         message.position_frame_id = summary.position_frame
     if summary.estimate is not None:
         _fill_parameters(message, summary.estimate, summary.order_source)
-        members = TissueBelief.found(summary.estimate).members
+        members = summary.estimate.mixture
         message.component_weights = [float(m.weight) for m in members]
         message.component_means = np.concatenate([m.mean for m in members]).tolist()
         covariances = np.concatenate([m.covariance.ravel() for m in members])

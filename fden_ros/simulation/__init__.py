@@ -7,7 +7,6 @@ Shares no numerics with :mod:`fden_ros.core`. Simulated recordings stand beside 
 ``simulation/``.
 """
 
-from fden_ros.simulation import phantom
 from fden_ros.simulation.model import FdenModel, FloatArray
 from fden_ros.simulation.rig import Command, Rig, RigConfig
 from fden_ros.simulation.tissue import Column, Inclusion, Relaxation, Tissue
@@ -22,5 +21,4 @@ __all__ = [
     "Rig",
     "RigConfig",
     "Tissue",
-    "phantom",
 ]

@@ -5,7 +5,6 @@
 
 from fden_ros.core.contact.air import SLOW_NS, ContactConfig, least_noise
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
-from fden_ros.core.contact.imagined import imagined_onset
 
 __all__ = [
     "SLOW_NS",
@@ -13,6 +12,5 @@ __all__ = [
     "ContactDetector",
     "Onset",
     "Release",
-    "imagined_onset",
     "least_noise",
 ]

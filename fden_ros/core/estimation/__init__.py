@@ -19,7 +19,7 @@ from fden_ros.core.estimation.ahead import (
     kernel_change,
     other_along,
 )
-from fden_ros.core.estimation.block import TOUCH_TIME, Points
+from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.claims import (
     EDGE,
     Reservations,
@@ -49,14 +49,13 @@ from fden_ros.core.estimation.estimator_config import (
     Uncertainty,
 )
 from fden_ros.core.estimation.mixture import Component, moments, positive
-from fden_ros.core.estimation.parts import Advanced, Parts, ended
+from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.rig_knowledge import RigKnowledge, drift_evidence
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
 if TYPE_CHECKING:
-    from fden_ros.core.estimation.imagined import UNSOLVABLE, ImaginedPress, imagined_record
     from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
 
 __all__ = [
@@ -67,9 +66,6 @@ __all__ = [
     "NOTHING_UNKNOWN",
     "NO_CHANCE",
     "PUBLISHED",
-    "TOUCH_TIME",
-    "UNSOLVABLE",
-    "Advanced",
     "Along",
     "Block",
     "Budget",
@@ -78,7 +74,6 @@ __all__ = [
     "Estimate",
     "Estimator",
     "EstimatorConfig",
-    "ImaginedPress",
     "Innovation",
     "LawAlong",
     "LawError",
@@ -87,7 +82,6 @@ __all__ = [
     "OtherLaw",
     "OtherLawKind",
     "ParameterSet",
-    "Parts",
     "Points",
     "PosteriorEstimator",
     "Prior",
@@ -99,7 +93,6 @@ __all__ = [
     "determined",
     "drift_evidence",
     "ended",
-    "imagined_record",
     "kernel_change",
     "log_stiffness",
     "moments",
@@ -110,9 +103,6 @@ __all__ = [
 ]
 
 _LATER = {
-    "UNSOLVABLE": "imagined",
-    "ImaginedPress": "imagined",
-    "imagined_record": "imagined",
     "PosteriorEstimator": "posterior_estimator",
 }
 

@@ -220,6 +220,11 @@ class Estimate(NamedTuple):
         )
 
     @property
+    def mixture(self) -> tuple[Component, ...]:
+        """Components, whose moments mean and covariance are; one where it is a Gaussian."""
+        return self.components or (Component(1.0, self.mean, self.covariance),)
+
+    @property
     def deviations(self) -> Array:
         """Standard deviations of (ln G, ln Gn, alpha) [1], shape (3,)."""
         return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))

@@ -14,7 +14,7 @@ import numpy as np
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import Budget
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, elastic_response, strain_of_phi
-from fden_ros.written import written
+from fden_ros.written import quantity
 
 #: Sources of a budget in words.
 WORDS: Mapping[str, str] = {
@@ -148,16 +148,3 @@ def _face(geometry: Geometry, times: float) -> str:
     if isinstance(geometry, Sphere):
         return f"a sphere of {quantity(geometry.radius * root, 'm', up=True)} radius"
     return ""
-
-
-def quantity(value: float, unit: str, *, up: bool = False) -> str:
-    """Return a quantity with two digits, by a prefix of its unit where it is small."""
-    if value == 0.0:
-        return f"0 m{unit}"
-    prefixes = {"": 0.5, "m": 0.5e-4, "µ": 0.5e-7, "n": 0.0}
-    prefix = next(name for name, least in prefixes.items() if abs(value) >= least)
-    size = value * 10.0 ** (3 * list(prefixes).index(prefix))
-    if up:
-        step = 10.0 ** (math.floor(math.log10(size)) - 1)
-        size = step * math.ceil(size / step - 1e-9)
-    return f"{written(size, 2)} {prefix}{unit}"
