@@ -45,15 +45,6 @@ COMMANDS = {
     "live": "simulator, identifier, controller and monitor together",
 }
 
-#: Commands of before, and what stands in their place.
-_RETIRED = {
-    "calibrate": "fden configure, which finds the delay",
-    "demo": "make demo, or fden live",
-    "info": "ros2 bag info, or fden configure",
-    "layout": "sed on config/foxglove_layout.json",
-    "relative": "classification.mode: relative",
-}
-
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
@@ -96,8 +87,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         parser = build_parser()
         given = sys.argv[1:] if arguments is None else arguments
-        if given and given[0] in _RETIRED:
-            parser.error(f"there is no fden {given[0]} any more: use {_RETIRED[given[0]]}")
         args, unknown = parser.parse_known_args(given)
         if unknown:
             args.parser.error(f"unrecognized arguments: {shlex.join(unknown)}")

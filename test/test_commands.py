@@ -22,7 +22,7 @@ from command_helpers import answer, fden, rows_of
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rosbags.highlevel import AnyReader
 
-from fden_ros.cli import _RETIRED, COMMANDS, main
+from fden_ros.cli import COMMANDS, main
 from fden_ros.commands.command import number
 from fden_ros.errors import InputError
 from fden_ros.offline import batch
@@ -481,16 +481,3 @@ def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
             coloured = verdict(np.convolve(white, kernel, "valid"))
             assert f"not white: neighbours {words} each other" in coloured
     assert passed >= 190  # 98 % expected of the two tests of 99 %
-
-
-# What was there before
-
-
-@pytest.mark.parametrize("name", _RETIRED)
-def test_a_command_of_before_is_refused_with_its_successor(name, capsys):
-    with pytest.raises(SystemExit) as left:
-        main([name, "--any"])
-    assert left.value.code == 2
-    said = capsys.readouterr().err
-    assert f"there is no fden {name} any more: use {_RETIRED[name]}" in said
-    assert f"``fden {name}``" in (ROOT / "CHANGELOG.rst").read_text()

@@ -134,11 +134,6 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
         any_node("geometry.thicknes: 0.03"),
         "there is no parameter geometry.thicknes; did you mean geometry.thickness?",
     ),
-    "old name": (
-        any_node("alpha: {source: given, value: 0.2}"),
-        "there is no parameter alpha.source any more: use alpha.learn: true for prior, false for "
-        "given",
-    ),
     "text for the node's truth value": (
         any_node("autostart: maybe"),
         "parameter autostart is 'maybe', must be true or false",

@@ -230,23 +230,6 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
 )
 _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
-#: Names of before, and what stands in their place.
-_RENAMED = {
-    "alpha.source": "alpha.learn: true for prior, false for given",
-    "alpha.value": "prior.alpha, with alpha.learn: false",
-    "alpha.sd": "prior.alpha_sd, with alpha.learn: false",
-    "classification.dwell": "classification.min_duration",
-    "classification.release": "classification.exit_probability",
-    "converged.linear_log_sd": "converged.log_g_sd",
-    "converged.log_sd": "converged.log_gn_sd",
-    "estimate.time_scale": "apparent_stiffness.time_scale",
-    "model_error.sd": "model_discrepancy.sd",
-    "plausible.force": "plausibility.max_force",
-    "plausible.strain_rate": "plausibility.min_strain_rate",
-    "stale_timeout": "source_timeout",
-    "synchronize.window": "synchronize.max_wait",
-}
-
 
 def check(values: Mapping[str, object]) -> Parameters:
     """Return all parameters: `values` checked, the others at their defaults.
@@ -265,12 +248,10 @@ def parameter_named(name: str) -> Parameter:
     Raises
     ------
     InputError
-        If there is none; the line names the new name of an old one, or the nearest.
+        If there is none; the line names the nearest.
     """
     if name in _BY_NAME:
         return _BY_NAME[name]
-    if name in _RENAMED:
-        raise InputError(f"there is no parameter {name} any more: use {_RENAMED[name]}")
     near = difflib.get_close_matches(name, [*_BY_NAME, *_NODE_BY_NAME], n=1, cutoff=0.4)
     hint = f"; did you mean {near[0]}?" if near else ""
     raise InputError(f"there is no parameter {name}{hint}")
