@@ -9,7 +9,6 @@ import functools
 import math
 import os
 import re
-import sys
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -20,7 +19,6 @@ import pytest
 from command_helpers import answer, fden
 from fault_helpers import first_press
 from frame_helpers import Place, arm, place, write_bag
-from live_helpers import process_of
 from property_helpers import first
 from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
@@ -31,7 +29,6 @@ from fden_ros.configure.robots import robot_named, robot_names
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.transforms import FrameTree
-from fden_ros.nodes import guide
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import live_topics, read_parameter_file
 from simulation.scenario import (
@@ -391,37 +388,6 @@ def test_a_way_is_composed_along_the_tree():
     path = tree.path("a", "c", np.array([1_000_000_000], dtype=np.int64))
     assert np.allclose(path.places, [[1.0, 1.0, 0.0]])
     assert np.allclose(path.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
-
-
-# `fden configure --live` beside a robot that moves: a bag that is played into real topics
-
-
-def test_it_says_what_to_do_and_waits_for_it(tmp_path, capsys):
-    rig = whole_rig(presses=1, force_rate=100.0, displacement_rate=100.0)
-    bag = RigBag(rig.streams).write(tmp_path / "bag")
-    output = tmp_path / "probe.yaml"
-    play = [sys.executable, "-m", "fden_ros.cli", "play", str(bag), "--rate", "3"]
-    with process_of(play):
-        topics = ["--force-topic", "/ft/wrench", "--displacement-topic", "/arm/pose"]
-        assert fden("configure", "--live", *topics, "-o", output) == 0
-    printed = capsys.readouterr()
-    said = printed.err.splitlines()
-    assert "force from /ft/wrench (geometry_msgs/WrenchStamped)" in said
-    assert any(line.startswith("NOW: turn the tool in the air") for line in said)
-    assert said.index("done: turn") < said.index("done: press") < said.index("done: plate")
-    assert not any("given up" in line for line in said)
-    assert "identifier.launch.py parameters:=" in printed.out
-    parameters = read_parameter_file(output)
-    truth = rig.truth
-    assert parameters.tool.mass == pytest.approx(truth.mass, rel=0.02)
-    assert parameters.core.synchronize.displacement_delay == pytest.approx(truth.delay, abs=1e-3)
-    assert parameters.core.contact.series_compliance == pytest.approx(truth.compliance, rel=0.1)
-
-
-def test_without_topics_it_says_which_it_would_need(capsys, monkeypatch):
-    monkeypatch.setattr(guide, "_TOPICS_WITHIN", 0.5)
-    assert fden("configure", "--live") == 1
-    assert "no topic can carry the force: " in capsys.readouterr().err
 
 
 # Robots by name: their topics and conventions, on bags in each layout by another library

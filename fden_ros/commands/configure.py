@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +32,6 @@ examples:
   fden configure palpation.mcap -o probe.yaml --flat-punch 3.14e-4 --thickness 0.02
   fden configure plate.mcap tissue.mcap --rigid plate.mcap -o probe.yaml
   fden configure robot.csv --columns @500,5,3*1e-3        500 Hz, force and depth by number
-  fden configure --live --robot ur -o probe.yaml          what to do, step by step
   fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
 
 A recording that shows everything has 2 s in the air, and the tool turned through three
@@ -58,18 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
-    )
-    parser.add_argument(
-        "--live",
-        action="store_true",
-        help="listen to the robot instead, say what to do next, step by step, and wait for it",
-    )
-    parser.add_argument(
-        "--patience",
-        type=float,
-        default=120.0,
-        metavar="S",
-        help="live: go on without a step after this time [s] (default: %(default)g)",
     )
     parser.add_argument(
         "--robot",
@@ -111,9 +96,9 @@ def run(args: argparse.Namespace) -> int:
 
     _check(args)
     robot = robot_named(args.robot) if args.robot else None
-    if robot is not None and not args.recordings and not args.live:
+    if robot is not None and not args.recordings:
         return _from_conventions(args.output, robot)
-    readings, found = _listen(args, robot) if args.live else _read(args, robot)
+    readings, found = _read(args, robot)
     notes = robot_notes(robot, found) if robot is not None else []
     if args.output is not None:
         text = parameter_file(found, readings, notes)
@@ -129,9 +114,6 @@ def run(args: argparse.Namespace) -> int:
         print(f"wrote {args.output}")
     if args.output is None:
         print("Next: the same with -o probe.yaml")
-    elif args.live:
-        parameters = shlex.quote(f"parameters:={args.output}")
-        print(f"Next: ros2 launch fden_ros identifier.launch.py {parameters}")
     else:
         print(f"Next: {replay_command(str(args.output), readings[-1])}")
     return 0
@@ -165,9 +147,8 @@ def _check(args: argparse.Namespace) -> None:
     """Refuse arguments that do not go together."""
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     for is_wrong, words in (
-        (args.live and args.recordings, "--live listens to topics: name no recording"),
         (
-            not (args.recordings or args.live or args.robot),
+            not (args.recordings or args.robot),
             "name a recording, or a robot with --robot",
         ),
         (unknown, f"--rigid {' '.join(unknown)} is none of the recordings"),
@@ -237,19 +218,6 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading],
                 "rig have the same types"
             )
     return readings, _survey(args, readings)
-
-
-def _listen(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading], Survey]:
-    from fden_ros.nodes.guide import listen
-
-    reading, found = listen(
-        selection_of(args),
-        robot,
-        lambda reading: _survey(args, [reading]),
-        lambda line: print(line, file=sys.stderr, flush=True),
-        args.patience,
-    )
-    return [reading], found
 
 
 def _survey(args: argparse.Namespace, readings: Sequence[Reading]) -> Survey:

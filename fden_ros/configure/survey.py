@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from fden_ros.configure.axes import Axes, find_axes
 from fden_ros.configure.delay import delay_finding
-from fden_ros.configure.finding import PRESS, TURN, Finding, unknown
+from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.lag import find_lag
 from fden_ros.configure.rigid import Press, compliance_finding, rigid_presses
 from fden_ros.configure.sampling import bias_findings, lift_off_finding, sampling_findings
@@ -154,42 +154,3 @@ def _in_known_units(finding: Finding, units: Units) -> Finding:
     # The floor is a tenth of the noise in whatever unit a replay reads both.
     kept = finding.parameters if finding.subject == "force noise" else {}
     return replace(finding, claim=False, evidence=evidence, parameters=kept, motion=motion)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One thing to do.
-
-    Parameters
-    ----------
-    name, says : str
-        Short, and in words.
-    subjects : tuple of str
-        Findings that are stated once it is done.
-    """
-
-    name: str
-    says: str
-    subjects: tuple[str, ...]
-
-    def is_done(self, found: Survey) -> bool:
-        """Whether what it is for is stated."""
-        return all(found.finding(subject).claim for subject in self.subjects)
-
-
-#: In this order: each needs what stands before it.
-_STEPS = (
-    Step("air", "hold the probe still in the air for 3 s", ("force noise",)),
-    Step("turn", f"{TURN}, and turn back", ("tool mass",)),
-    Step("press", f"{PRESS}, with a hold of 2 s", ("force axis", "displacement axis")),
-    Step(
-        "plate",
-        "press a rigid plate twice, slowly, to the largest force of your presses",
-        ("compliance", "delay"),
-    ),
-)
-
-
-def steps_for(has_orientation: bool) -> tuple[Step, ...]:
-    """Return the steps; without orientations turning the tool shows nothing."""
-    return tuple(step for step in _STEPS if has_orientation or step.name != "turn")
