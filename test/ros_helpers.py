@@ -36,10 +36,11 @@ from fden_ros.core.outputs import (
     Output,
     TissueState,
 )
-from fden_ros.nodes.player import Player
+from fden_ros.nodes import player
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
 from fden_ros.recording.message_types import serialize
+from fden_ros.recording.reader import BagReader
 from fden_ros.ros.messages import to_stamp
 from fden_ros.ros.topics import OutputMessages
 from simulation.bag import PARAMETER_FILE
@@ -231,10 +232,7 @@ def stamp(message: Any) -> int:
 
 def play(bag: Path, rate: float = 8.0, **options: Any) -> None:
     """Play a bag to who listens, until everything is received."""
-    with Player(bag, rate=rate, **options) as player:
-        player.wait_for_subscribers(timeout_s=LIMIT)
-        player.play()
-        assert player.wait_until_acknowledged(LIMIT)
+    player.play(BagReader(bag), rate, wait=LIMIT, **options)
 
 
 def replayed(

@@ -36,7 +36,7 @@ from std_msgs.msg import Float64MultiArray
 from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.errors import InputError
-from fden_ros.nodes.player import Player
+from fden_ros.nodes.player import problem_of
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
 from fden_ros.recording.fields import decoder_of
@@ -117,8 +117,7 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     assert [(t.name, t.message_count) for t in bag.topics] == [("/force", 120), ("/joints", 120)]
     assert (bag.start_ns, bag.end_ns) == (START, START + 1_190_000_000)
     assert (NO_METADATA in " ".join(bag.warnings)) == (expected.warned == NO_METADATA)
-    player = Player(bag)
-    assert (player.message_count, player.warnings) == (240, ())
+    assert not any(map(problem_of, bag.topics))
 
 
 def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
@@ -149,9 +148,7 @@ def test_types_of_ros_1_that_are_others_today_are_read_by_field_but_not_played(t
     first, second = bag.messages()
     assert list(decoder_of(info)(first.data).D) == []
     assert decoder_of(number)(second.data).data == 7
-    player = Player(bag)
-    assert player.message_count == 1
-    assert "/info is not played" in player.warnings[0]
+    assert "/info is not played" in problem_of(info) and not problem_of(number)
 
 
 @pytest.mark.parametrize("kind", ["sqlite3 file", "ROS 1", "ROS 1 in lz4"])
