@@ -41,7 +41,6 @@ COMMANDS = {
     "parameters": "print every parameter of the identifier, explained",
     "benchmark": "measure accuracy and speed against their goals",
     "monitor": "show a running identifier in the terminal",
-    "doctor": "what a running identifier hears and lacks, and the next step",
     "live": "simulator, identifier, controller and monitor together",
 }
 

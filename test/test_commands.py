@@ -65,7 +65,7 @@ def test_an_unknown_option_is_one_line_that_names_the_help(name, capsys):
     assert "error: " in line and line.endswith(" --help")
 
 
-@pytest.mark.parametrize("words", [["replay", "a.mcap"], ["benchmark", "exact"], ["doctor"]])
+@pytest.mark.parametrize("words", [["replay", "a.mcap"], ["benchmark", "exact"], ["monitor"]])
 def test_an_unknown_option_names_the_help_of_its_own_command(words, capsys):
     with pytest.raises(SystemExit):
         main([*words, "--nonsense"])

@@ -51,7 +51,7 @@ from fden_ros.core.outputs import (
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.report.monitor import MonitorView, monitor_view
+from fden_ros.report.monitor import MonitorView, monitor_view, next_step
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig
 from fden_ros.tissue_feed import TissueFeed
@@ -157,6 +157,21 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
     for words in (interval, "gap", "99 Hz", "3 at site 2", "liver 97%", "safe", "2,620", "(500 ±"):
         assert words in text
     assert "no estimate for 3.0 s" in shown(replace(view, age=3.0, refusal=Refusal(Cause.LOST)))
+
+
+@pytest.mark.parametrize(
+    ("said", "step"),
+    [
+        ({}, "ros2 lifecycle set /identifier configure"),
+        ({"message": "cannot configure: no such library"}, "cannot configure: no such library"),
+        ({"contacts": "0", "problem 1": "nothing publishes /force"}, "nothing publishes /force"),
+        ({"contacts": "0"}, "then press"),
+        ({"contacts": "3", "last contact": "hold for 2 s for alpha"}, "hold for 2 s for alpha"),
+        ({"contacts": "3", "last contact": ""}, "nothing: it identifies"),
+    ],
+)
+def test_the_monitor_names_the_next_step(said, step):
+    assert step in next_step(MonitorView("/identifier", diagnostics=said))
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():

@@ -12,25 +12,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import GetState
-from live_helpers import LIMIT, stop_shared
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier, stamp
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
-from fden_ros.nodes.doctor import Examination, examine
-from fden_ros.ros.plain_node import plain_node
 from simulation.simulate import START_NS
 
 
@@ -172,20 +166,20 @@ def test_estimates_of_a_machine_that_is_too_slow_are_late_and_that_is_said():
         try:
             late = TissueEstimate.STATUS_LATE
             bench.wait_for(lambda: bench.estimates and bench.estimates[-1].status == late, "late")
-            found = examined("/identifier", lambda e: e.lags.late > 0)
+            words = "the machine is too slow: "
+            bench.wait_for(lambda: words in bench.diagnostic().get("message", ""), words)
         finally:
             stop.set()
             thread.join()
     assert all((e.lag > 0.1) == (e.status == late) for e in bench.estimates)
-    assert found.problems[-1].startswith("the machine is too slow: ")
-    assert warnings_of(node, "the machine is too slow")
+    assert warnings_of(node, words)
 
 
 # Lifecycle
 
 
 def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
-    """The requests of a lifecycle manager; what is refused is in log, diagnostics and doctor."""
+    """The requests of a lifecycle manager; what is refused is in log and diagnostics."""
     change = Transition
     with Bench("/arm/identifier") as bench, identifier(remap={"__ns": "/arm"}) as node:
 
@@ -205,16 +199,12 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
             return False
 
         assert bench.state() == "unconfigured"
-        examined("/arm/identifier", lambda e: e.next_step.endswith("/arm/identifier configure"))
         assert set_library("/nowhere/tissues.yaml")
         assert not bench.change_state(change.TRANSITION_CONFIGURE)
         assert bench.state() == "unconfigured"
         refusal = "cannot configure: /nowhere/tissues.yaml: "
         bench.wait_for(lambda: refusal in bench.diagnostic().get("message", ""), refusal)
         assert bench.diagnostic_level() == DiagnosticStatus.ERROR
-        found = examined("/arm/identifier", lambda e: refusal in e.page())
-        assert "correct what it refused" in found.next_step
-        assert "last refusal: none" not in found.page()
         assert set_library("")
         for is_first in (True, False):
             assert bench.change_state(change.TRANSITION_CONFIGURE)
@@ -234,65 +224,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
     assert sum("/nowhere/tissues.yaml" in line for line in node.output.splitlines()) == 1
     for words, count in (("unconfigured: it", 1), ("configured: silent", 2), ("deactivated:", 2)):
         assert node.output.count(f": {words}") == count, words
-
-
-def examined(name: str, is_right: Callable[[Examination], object]) -> Examination:
-    """Examine until it is as it should be: a busy machine may answer late."""
-    end = time.monotonic() + LIMIT
-    while not is_right(found := examine(name)):
-        assert time.monotonic() < end, found.page()
-    return found
-
-
-def test_the_doctor_says_what_a_node_hears_and_lacks_and_the_next_step():
-    assert "start it" in Examination("/nobody").next_step
-    assert "lacks nothing" not in Examination("/nobody").page()
-    with Bench() as bench, active():
-        bench.wait_until_heard()
-        assert not bench.call(Trigger, "tare").success
-        stop = threading.Event()
-
-        def feed() -> None:
-            now = iter(range(START_NS, 2 * START_NS, STEP_NS))
-            while not stop.wait(STEP_NS * 1e-9):
-                bench.publish(next(now), 0.0, 0.0)
-
-        thread = threading.Thread(target=feed)
-        thread.start()
-        try:
-            # A busy machine feeds late now and then.
-            well = examined("/identifier", lambda e: e.is_well)
-        finally:
-            stop.set()
-            thread.join()
-        ill = examined("/identifier", lambda e: e.state == "active" and e.problems)
-        other = examined("/left/identifier", lambda e: e.others)
-    assert well.next_step.startswith("lift the probe") and int(well.values["received.force"]) > 0
-    assert not ill.is_well and "no pair of force and displacement" in ill.next_step
-    assert "last refusal: tare: " in ill.page()
-    assert other.next_step.endswith("fden doctor /identifier")
-
-
-def test_the_doctor_waits_for_diagnostics_that_it_hears_late():
-    stop_shared()  # It would answer by the same name.
-    with plain_node("identifier") as (node, executor):
-        sender = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        status = DiagnosticStatus(name="identifier: inputs", message="well")
-
-        def state(_request: Any, response: GetState.Response) -> GetState.Response:
-            response.current_state.label = "active"
-            node.create_timer(1.0, lambda: sender.publish(DiagnosticArray(status=[status])))
-            return response
-
-        node.create_service(GetState, "/identifier/get_state", state)
-        thread = threading.Thread(target=executor.spin)
-        thread.start()
-        try:
-            found = examined("/identifier", lambda e: e.state == "active")
-        finally:
-            executor.shutdown()
-            thread.join()
-    assert found.words == "well"
 
 
 @pytest.mark.parametrize(("period", "deadline"), [(0.01, 0.05), (0.2, 1.0)])

@@ -7,11 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
-#: What a problem of lag begins with.
-TOO_SLOW = "the machine is too slow"
-
 
 @dataclass
 class Lag:
@@ -53,20 +48,12 @@ class Lags:
         return max(self.lags, default=0.0)
 
     @property
-    def words(self) -> str:
-        """The median, the 99th percentile and the maximum, in milliseconds; empty: no estimate."""
-        if not self.lags:
-            return ""
-        half, most = 1e3 * np.percentile(self.lags, (50.0, 99.0))
-        return f"p50 {half:.1f} ms, p99 {most:.1f} ms, at most {1e3 * self.most:.1f} ms"
-
-    @property
     def problem(self) -> str:
         """That estimates are late, and what mends it; empty: none is."""
         if not self.late:
             return ""
         return (
-            f"{TOO_SLOW}: {self.late} of {len(self.lags)} estimates were late, up to "
+            f"the machine is too slow: {self.late} of {len(self.lags)} estimates were late, up to "
             f"{self.most:.2f} s behind their samples; give the node a core or priority (nice), or "
             "set estimate.period to twice what it is"
         )

@@ -75,7 +75,24 @@ def monitor_line(view: MonitorView) -> str:
     if view.state is not None:
         parts.append(f"contact {_contact(view.state)}")
         parts += [" ".join(f"{name} {words}".split()) for name, words in _parameters(view.state)]
-    return "; ".join(parts)
+    return "; ".join([*parts, f"next: {next_step(view)}"])
+
+
+def next_step(view: MonitorView) -> str:
+    """Return the one thing to do next, of what the node says of itself."""
+    said = view.diagnostics
+    if not said:
+        return (
+            f"start {view.identifier} with autostart:=true, or "
+            f"ros2 lifecycle set {view.identifier} configure, then activate"
+        )
+    problem = said.get("problem 1", "")
+    if problem or "contacts" not in said:
+        # Without values it is what keeps the node from being configured or activated.
+        return problem or said["message"]
+    if said["contacts"] == "0":
+        return "hold the probe in the air for 2 s, then press"
+    return said.get("last contact") or "nothing: it identifies"
 
 
 def _present(view: MonitorView) -> Table:
@@ -86,6 +103,7 @@ def _present(view: MonitorView) -> Table:
     table.add_row("status", _status(view))
     table.add_row("rates", _rates(view))
     if state is None:
+        table.add_row("next", next_step(view))
         return table
     table.add_row("contact", _contact(state))
     for name, interval in _parameters(state):
@@ -96,6 +114,7 @@ def _present(view: MonitorView) -> Table:
     table.add_row("controllers", Text(words, style="yellow" if view.refusal else "green"))
     if view.gains:
         table.add_row("gains", view.gains)
+    table.add_row("next", next_step(view))
     return table
 
 
