@@ -62,7 +62,6 @@ def _by_pipeline(question: Question, observation: str) -> Answer:
             "force.measure_bias": False,
             "origin.source": "given",
             "plausibility.max_force": 1e6,
-            "apparent_stiffness.time_scale": TIME_SCALE,
         }
     )
     outputs: list[Output] = []

@@ -99,7 +99,7 @@ def found_at(press: Press, stress: Stress, parameters: Mapping[str, Any]) -> lis
 
     The strains are pressed whatever the geometry: the way follows from them.
     """
-    config = pipeline_config(check({**parameters, "apparent_stiffness.time_scale": TIME_SCALE}))
+    config = pipeline_config(check(parameters))
     geometry = config.geometry
     strains, per_force = press.strains, geometry.stress_per_force
     compressions = np.sign(strains) * [geometry.compression(x) for x in np.abs(strains)]

@@ -291,7 +291,7 @@ PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
 DEFAULTS = {
     p.name: p.default
     for p in (*PARAMETERS, *NODE_PARAMETERS)
-    if p.name not in ("autostart", "start_type_description_service")
+    if p.name != "autostart"
 }
 
 

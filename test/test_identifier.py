@@ -77,7 +77,7 @@ def oscillating(bag: Path) -> Path:
     sites = (replace(scenario.sites[0], presses=(Sinusoid(0.2, 0.08, 0.02, 2.0, 6, 0.5),)),)
     write_recording(simulate(replace(scenario, sites=sites), 3), bag)
     with (bag / PARAMETER_FILE).open("a", encoding="utf-8") as file:
-        file.write("    dither.frequencies: [2.0]\n    dither.periods: 2\n")
+        file.write("    dither.frequencies: [2.0]\n")
     return bag
 
 

@@ -134,6 +134,10 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
         any_node("geometry.thicknes: 0.03"),
         "there is no parameter geometry.thicknes; did you mean geometry.thickness?",
     ),
+    "a sphere without a radius": (
+        any_node("geometry.kind: sphere"),
+        "geometry.kind is sphere and geometry.radius is 0: state the radius [m]",
+    ),
     "text for the node's truth value": (
         any_node("autostart: maybe"),
         "parameter autostart is 'maybe', must be true or false",
@@ -151,7 +155,6 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
         "not valid YAML: while parsing a flow node expected the node content, but found "
         "'<stream end>'",
     ),
-    "an alias": (any_node("force.noise: &x 1.0, force.limit: *x"), "ROS 2 reads no aliases (*)"),
     "a name twice": (
         "/**:\n  ros__parameters:\n    prior: {alpha: 0.2}\n    prior: {alpha_sd: 0.02}\n",
         "not valid YAML: prior stands twice in one mapping",

@@ -146,7 +146,6 @@ def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
     ("parameters", "example"),
     [
         ({}, "kind: flat_punch, area: "),
-        ({"geometry.kind": "sphere"}, "kind: sphere, radius: "),
     ],
 )
 def test_without_a_stated_geometry_nothing_is_converged(parameters, example, once):

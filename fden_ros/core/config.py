@@ -83,14 +83,8 @@ class PipelineConfig:
         "estimate.period", 0.01, "One estimate per this time.", "s", 1e-3, 1.0
     )
     block_compression: float = 0.005  #: a larger change of the compression cuts a block short [1]
-    apparent_stiffness_time_scale: float = parameter(
-        "apparent_stiffness.time_scale",
-        0.1,
-        "Time scale tau of the apparent stiffness.",
-        "s",
-        1e-4,
-        10000.0,
-    )
+    #: Time scale tau of the apparent stiffness [s].
+    apparent_stiffness_time_scale: float = 0.1
     stated_frequencies: tuple[float, ...] = parameter(
         "dither.frequencies",
         (0.0,),
@@ -101,14 +95,8 @@ class PipelineConfig:
         1000.0,
         most=8,
     )
-    dither_periods: int = parameter(
-        "dither.periods",
-        4,
-        "One complex modulus per this number of periods of the lowest frequency.",
-        "1",
-        1,
-        1000,
-    )
+    #: One complex modulus per this number of periods of the lowest frequency [1].
+    dither_periods: int = 4
     classification: str = parameter(
         "classification.mode",
         "library",

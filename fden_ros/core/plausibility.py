@@ -34,15 +34,9 @@ class PlausibilityConfig:
         TINY,
         1e9,
     )
-    least_strain_rate: float = parameter(
-        "plausibility.min_strain_rate",
-        0.001,
-        "A press strained slower than this and sampled slower than 2 Hz is implausible; 0: any "
-        "is plausible.",
-        "1/s",
-        0.0,
-        1.0,
-    )
+    #: A press strained slower than this and sampled slower than 2 Hz is implausible; 0: any is
+    #: plausible [1/s].
+    least_strain_rate: float = 0.001
 
 
 #: Largest sizes, the unit that may have been meant, and its factor: of a face of 14 cm, a body, a
@@ -222,9 +216,8 @@ class Plausibility:
         asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
-            f"plausibility.min_strain_rate ({least:g} 1/s), and samples come every "
-            f"{self._step:.2g} s: is the time in {asked or 's'}? If the press is that slow, set "
-            "plausibility.min_strain_rate"
+            f"{least:g} 1/s, and samples come every {self._step:.2g} s: is the time in "
+            f"{asked or 's'}?"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:

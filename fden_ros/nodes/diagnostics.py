@@ -76,11 +76,10 @@ class Diagnostics:
 
     def _status(self) -> DiagnosticStatus | None:
         name = self._node.get_fully_qualified_name()
-        hardware_id = str(self._node.get_parameter("hardware_id").value)
         if self._report is not None:
-            return self._report.status(name, hardware_id, self.refusal)
+            return self._report.status(name, self.refusal)
         if self.is_stuck:
-            return status_of(name, hardware_id, DiagnosticStatus.ERROR, self.refusal)
+            return status_of(name, DiagnosticStatus.ERROR, self.refusal)
         return None
 
 
@@ -99,7 +98,7 @@ class _Report:
         self._lost_before: Counter[str] = Counter()
         self._dropped_before: Counter[str] = Counter()
 
-    def status(self, name: str, hardware_id: str, refusal: str) -> DiagnosticStatus:
+    def status(self, name: str, refusal: str) -> DiagnosticStatus:
         """Return the status of the last second; log what is new."""
         session, pipeline = self._session, self._session.pipeline
         news = self._pipeline_problems.look()
@@ -138,7 +137,7 @@ class _Report:
             # Each alone: a problem may hold the mark that stands between them in the message.
             **{f"problem {n}": one for n, one in enumerate([*pipeline.problems, *problems], 1)},
         }
-        return diagnostic_status(name, problems, pipeline, news.pairs, values, hardware_id)
+        return diagnostic_status(name, problems, pipeline, news.pairs, values)
 
     def _warn(self, kind: str, words: str) -> None:
         """Log a warning, of one kind no more often than every ten seconds."""

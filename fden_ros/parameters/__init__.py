@@ -18,7 +18,6 @@ from fden_ros.parameters.files import (
     OPEN_AXIS,
     Section,
     check_types,
-    identifier_values,
     live_topics,
     open_axes,
     parse_yaml,
@@ -38,16 +37,16 @@ from fden_ros.parameters.pipeline import (
     unit_vector,
 )
 from fden_ros.parameters.table import (
-    DEFAULT_HARDWARE_ID,
     NODE_PARAMETERS,
     PARAMETERS,
+    NodeSettings,
     Parameters,
     check,
+    identifier_values,
 )
 
 __all__ = [
     "ATTENTION_LINE",
-    "DEFAULT_HARDWARE_ID",
     "FORCES",
     "LIVE_LINE",
     "NODE_PARAMETERS",
@@ -55,6 +54,7 @@ __all__ = [
     "PARAMETERS",
     "PLACES",
     "MessageKind",
+    "NodeSettings",
     "Parameter",
     "Parameters",
     "Section",

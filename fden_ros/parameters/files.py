@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.parameters.table import Parameters, check, node_parameter_named
+from fden_ros.parameters.table import Parameters, check, identifier_values
 
 #: Line of a parameter file that names a live node's topics, as remappings.
 LIVE_LINE = "# Live: "
@@ -132,26 +132,6 @@ def values_for(sections: list[Section], node: str) -> dict[str, object]:
     return {name: value for values in chosen for name, value in values.items()}
 
 
-def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that are the identification's; those of the node alone are checked.
-
-    Raises
-    ------
-    InputError
-        If one of the node's is not allowed.
-    """
-    own: dict[str, object] = {}
-    for name, value in values.items():
-        if name.startswith("qos_overrides."):
-            continue
-        parameter = node_parameter_named(name)
-        if parameter is None:
-            own[name] = value
-        else:
-            parameter.check(value)
-    return own
-
-
 def read_sections(path: str | Path) -> list[Section]:
     """Return every section of a parameter file, in its order.
 
@@ -233,11 +213,7 @@ def parse_yaml(text: str) -> Any:
     yaml.YAMLError, ValueError
         If it is not valid.
     """
-    loader = _Loader(text)
-    try:
-        return loader.get_single_data()
-    finally:
-        loader.dispose()
+    return yaml.load(text, _Loader)  # noqa: S506, it is a SafeLoader
 
 
 def _qualified(node: str) -> str:
@@ -245,15 +221,7 @@ def _qualified(node: str) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML with the numbers and truth values of ROS 2's own reader: 1e-4 is a number."""
-
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases, as ROS 2 does."""
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("ROS 2 reads no aliases (*)")
-        return super().compose_node(parent, index)
+    """Plain YAML with the numbers of ROS 2's own reader: 1e-4 is one."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
         """Refuse a name that stands twice, of which one would be lost."""
@@ -263,25 +231,9 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.YAMLError(f"{name} stands twice in one mapping")
         return super().construct_mapping(node, deep)
 
-    def construct_truth(self, node: yaml.ScalarNode) -> bool:
-        """Return a truth value: y and n are among ROS 2's."""
-        return str(node.value)[0] in "yYtT" or str(node.value).lower() == "on"
 
-
-for _tag, _pattern in (
-    (
-        "bool",
-        r"y|Y|yes|Yes|YES|true|True|TRUE|on|On|ON|n|N|no|No|NO|false|False|FALSE|off|Off|OFF",
-    ),
-    ("int", r"[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)"),
-    (
-        "float",
-        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
-        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
-    ),
-    ("null", r"|~|null|Null|NULL"),
-):
-    _Loader.add_implicit_resolver(
-        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), None
-    )
-_Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_truth)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.law import GeometryConfig
+from fden_ros.core.law import GeometryConfig, Sphere, TorsionalRheometer
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
@@ -113,6 +113,41 @@ class FrameNames:
 
 
 @dataclass(frozen=True)
+class NodeSettings:
+    """What the node does beside the identification."""
+
+    autostart: bool = parameter(
+        "autostart",
+        False,
+        "Configure and activate at start-up, without a lifecycle manager.",
+    )
+    source_timeout: float = parameter(
+        "source_timeout",
+        0.5,
+        "Time without a usable pair of samples after which the estimate is stale.",
+        "s",
+        0.01,
+        60.0,
+    )
+    lag_deadline: float = parameter(
+        "lag_deadline",
+        0.1,
+        "Time from the receipt of a sample to its estimate after which the estimate is late.",
+        "s",
+        0.01,
+        60.0,
+    )
+    nice: int = parameter(
+        "nice",
+        -10,
+        "Nice value that the process asks for: below 0 it goes before ordinary processes.",
+        "1",
+        -20,
+        0,
+    )
+
+
+@dataclass(frozen=True)
 class Parameters:
     """All parameters of the identifier; made by :func:`check`."""
 
@@ -184,50 +219,17 @@ def _by_group(parameters: list[Parameter]) -> tuple[Parameter, ...]:
     return tuple(sorted(parameters, key=lambda one: groups.index(one.group)))
 
 
-PARAMETERS = _by_group(
-    [Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(Parameters())]
-)
+def _described(settings: Any) -> list[Parameter]:
+    return [Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)]
+
+
+PARAMETERS = _by_group(_described(Parameters()))
+#: Of the node alone: not the identification's, in the same file.
+NODE_PARAMETERS = tuple(_described(NodeSettings()))
+#: Of every node, declared by rclpy.
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service")
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-
-#: What a replay says, too, which reads no parameters of the node alone.
-DEFAULT_HARDWARE_ID = "force_sensor"
-
-#: Parameters of the node alone, or of every node: not the identification's, in the same file.
-NODE_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        "autostart", False, "Configure and activate at start-up, without a lifecycle manager."
-    ),
-    Parameter(
-        "source_timeout",
-        0.5,
-        "Time without a usable pair of samples after which the estimate is stale.",
-        "s",
-        0.01,
-        60.0,
-    ),
-    Parameter(
-        "lag_deadline",
-        0.1,
-        "Time from the receipt of a sample to its estimate after which the estimate is late.",
-        "s",
-        0.01,
-        60.0,
-    ),
-    Parameter(
-        "nice",
-        -10,
-        "Nice value that the process asks for: below 0 it goes before ordinary processes.",
-        minimum=-20,
-        maximum=0,
-    ),
-    Parameter(
-        "hardware_id",
-        DEFAULT_HARDWARE_ID,
-        "What /diagnostics says it is about, such as the serial number of the force sensor.",
-    ),
-    Parameter("use_sim_time", False, "Take the time from the topic /clock."),
-    Parameter("start_type_description_service", True, "Offer the type description service."),
-)
+_WITH_RADIUS = (Sphere.kind, TorsionalRheometer.kind)
 _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
 
@@ -237,9 +239,15 @@ def check(values: Mapping[str, object]) -> Parameters:
     Raises
     ------
     InputError
-        If a name is unknown or a value not allowed.
+        If a name is unknown, a value not allowed, or the radius of a kind that needs one missing.
     """
-    return Parameters().changed(values)
+    found = Parameters().changed(values)
+    geometry = found.geometry
+    if geometry.kind in _WITH_RADIUS and not geometry.radius:
+        raise InputError(
+            f"geometry.kind is {geometry.kind} and geometry.radius is 0: state the radius [m]"
+        )
+    return found
 
 
 def parameter_named(name: str) -> Parameter:
@@ -257,6 +265,18 @@ def parameter_named(name: str) -> Parameter:
     raise InputError(f"there is no parameter {name}{hint}")
 
 
-def node_parameter_named(name: str) -> Parameter | None:
-    """Return the parameter of the node alone; None where there is none of this name."""
-    return _NODE_BY_NAME.get(name)
+def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
+    """Return the values that are the identification's; those of the node alone are checked.
+
+    Raises
+    ------
+    InputError
+        If one of the node's is not allowed.
+    """
+    own: dict[str, object] = {}
+    for name, value in values.items():
+        if name in _NODE_BY_NAME:
+            _NODE_BY_NAME[name].check(value)
+        elif name not in ROS_PARAMETERS and not name.startswith("qos_overrides."):
+            own[name] = value
+    return own

@@ -13,8 +13,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import DEFAULT_HARDWARE_ID
 
+#: What `/diagnostics` is about.
+_HARDWARE_ID = "force_sensor"
 #: What is odd about the input is repeated for this number of looks, one a second.
 _WARNED_FOR = 10
 
@@ -25,24 +26,23 @@ def diagnostic_status(
     pipeline: Pipeline,
     pairs: int,
     more: Mapping[str, object] | None = None,
-    hardware_id: str = DEFAULT_HARDWARE_ID,
 ) -> DiagnosticStatus:
     """Return the status of a node called `node_name`, with `pairs` in the last second."""
     problems = [*pipeline.problems, *problems]
     level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     if pipeline.is_failed:
         level = DiagnosticStatus.ERROR
-    status = status_of(node_name, hardware_id, level, "; ".join(problems) or "identifying")
+    status = status_of(node_name, level, "; ".join(problems) or "identifying")
     for key, value in {**_values(pipeline, pairs), **(more or {})}.items():
         status.values.append(KeyValue(key=key, value=str(value)))
     return status
 
 
-def status_of(node_name: str, hardware_id: str, level: bytes, words: str) -> DiagnosticStatus:
+def status_of(node_name: str, level: bytes, words: str) -> DiagnosticStatus:
     """Return the status of a node, without values."""
     return DiagnosticStatus(
         name=f"{node_name.lstrip('/')}: tissue identification",
-        hardware_id=hardware_id,
+        hardware_id=_HARDWARE_ID,
         level=level,
         message=words,
     )

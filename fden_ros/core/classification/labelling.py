@@ -37,31 +37,13 @@ class DecisionConfig:
         0.34,
         1.0,
     )
-    exit_probability: float = parameter(
-        "classification.exit_probability",
-        0.5,
-        "It stays named while its probability is at least this.",
-        "1",
-        0.0,
-        1.0,
-    )
-    min_duration: float = parameter(
-        "classification.min_duration",
-        0.2,
-        "How long another answer must stand before it replaces the one that is named.",
-        "s",
-        0.0,
-        60.0,
-    )
-    significance: float = parameter(
-        "classification.significance",
-        0.06,
-        "library: unknown where less than this part of the contacts with the best fitting tissue "
-        "lies as far from it.",
-        "1",
-        0.0,
-        0.5,
-    )
+    #: It stays named while its probability is at least this [1].
+    exit_probability: float = 0.5
+    #: How long another answer must stand before it replaces the one that is named [s].
+    min_duration: float = 0.2
+    #: library: unknown where less than this part of the contacts with the best fitting tissue lies
+    #: as far from it [1].
+    significance: float = 0.06
 
 
 class Decider:

@@ -51,17 +51,10 @@ class RelativeConfig:
     ratio: float = parameter(
         "classification.ratio", 1.5, "relative: stiffer, or softer, by this.", "1", 1.0, 1000.0
     )
-    strain: float = parameter(
-        "classification.strain", 0.1, "relative: strain of the comparison.", "1", 0.0, 2.0
-    )
-    distance: float = parameter(
-        "classification.distance",
-        0.0,
-        "relative: surroundings are sites within this distance; 0: all.",
-        "m",
-        0.0,
-        10.0,
-    )
+    #: relative: strain of the comparison [1].
+    strain: float = 0.1
+    #: relative: surroundings are sites within this distance; 0: all [m].
+    distance: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -63,15 +63,9 @@ class ContactConfig:
         True,
         "Measure the force's bias in the air before each contact; false: it is 0 after any tare.",
     )
-    lookback: float = parameter(
-        "contact.lookback",
-        5.0,
-        "How far before its detection the onset of a contact is looked for; or 24 times 3 "
-        "samples, where those last longer.",
-        "s",
-        0.1,
-        60.0,
-    )
+    #: How far before its detection the onset of a contact is looked for; or 24 times 3 samples,
+    #: where those last longer [s].
+    lookback: float = 5.0
     site_distance: float = parameter(
         "site.distance",
         0.0,

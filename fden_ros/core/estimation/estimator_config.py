@@ -195,22 +195,10 @@ class EstimatorConfig:
         1e-4,
         5.0,
     )
-    converged_order_sd: float = parameter(
-        "converged.alpha_sd",
-        0.05,
-        "alpha has converged only while its standard deviation is below this.",
-        "1",
-        1e-4,
-        1.0,
-    )
-    converged_probability: float = parameter(
-        "converged.probability",
-        0.99,
-        "Gn is observable only while the strain has passed 1/Gn with this probability.",
-        "1",
-        0.5,
-        1.0,
-    )
+    #: alpha has converged only while its standard deviation is below this [1].
+    converged_order_sd: float = 0.05
+    #: Gn is observable only while the strain has passed 1/Gn with this probability [1].
+    converged_probability: float = 0.99
     #: The evidence of the data decides whether the model's error is there at all.
     uncertainty: Uncertainty = Uncertainty()
     friction: float = parameter(

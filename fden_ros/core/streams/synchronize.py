@@ -59,14 +59,8 @@ class SynchronizeConfig:
     force_limit: float = parameter(
         "force.limit", 1e5, "Forces of larger magnitude are rejected.", "N", TINY, 1e9
     )
-    displacement_limit: float = parameter(
-        "displacement.limit",
-        10.0,
-        "Displacements of larger magnitude are rejected.",
-        "m",
-        TINY,
-        1e9,
-    )
+    #: Displacements of larger magnitude are rejected [m].
+    displacement_limit: float = 10.0
     #: A force waits for the transforms around it too, whose stamps lag like the displacement's.
     frames: FramesConfig | None = None
     #: The displacement is the probe's along its own axis.
