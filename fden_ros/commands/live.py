@@ -8,27 +8,19 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
-import errno
-import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fden_ros.commands.command import positive
-from fden_ros.commands.monitor import ending_signals, watch
+from fden_ros.commands.monitor import watch
 from fden_ros.errors import InputError
-
-if TYPE_CHECKING:
-    from fden_ros.nodes.monitor import Monitor
 
 DESCRIPTION = """\
 Start the tissue simulator, the identifier and the force controller, each in a process of its own,
-and show them in this terminal. Ctrl-C stops them all, and so does the end of the terminal or of
-the process that has started this one; with nohup they go on.
+and show them in this terminal. Ctrl-C stops them all.
 """
 
 EPILOG = """\
@@ -43,17 +35,11 @@ _STOP_TIMEOUT = 10.0
 #: Of prctl(2).
 _PR_SET_PDEATHSIG = 1
 
-Processes = dict[str, subprocess.Popen[bytes]]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument(
-        "--parameters",
-        type=Path,
-        metavar="FILE",
-        help="parameters of the three nodes (default: config/tissue_simulator.yaml)",
-    )
+    words = "parameters of the three nodes (default: config/tissue_simulator.yaml)"
+    parser.add_argument("--parameters", type=Path, metavar="FILE", help=words)
     parser.add_argument("--fixed", action="store_true", help="fixed gains")
     parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
@@ -66,90 +52,49 @@ def run(args: argparse.Namespace) -> int:
     if not path.is_file():
         raise InputError(f"{path}: there is no such parameter file; give one by --parameters")
     settings = {
-        "tissue_simulator": "",
+        "tissue_simulator": "use_sim_time:=false",
         "identifier": "autostart:=true",
         "force_controller": f"scheduled:={str(not args.fixed).lower()}",
     }
-    with _running(path, NAMESPACE, settings) as nodes:
-        parent, is_bound = os.getppid(), signal.SIGHUP in ending_signals()
+    with contextlib.ExitStack() as started:
+        # It ends in reverse, so that nobody commands a rig that is gone.
+        nodes = {n: started.enter_context(_running(n, path, s)) for n, s in settings.items()}
 
-        def look(monitor: Monitor) -> None:
-            if is_bound and os.getppid() != parent:
-                raise KeyboardInterrupt
+        def look(_: object) -> None:
             for name, process in nodes.items():
                 if process.poll() is not None:
                     raise InputError(f"{name} ended early, with exit code {process.returncode}")
 
-        try:
-            watch(f"{NAMESPACE}/identifier", duration=args.duration, look=look)
-        except KeyboardInterrupt:
-            pass
-        except OSError as error:
-            # Of a terminal or a pipe that is gone: nobody looks any more.
-            if error.errno not in (errno.EIO, errno.EPIPE):
-                raise
-    with contextlib.suppress(OSError):  # of a terminal that is gone
-        print("stopped " + ", ".join(nodes), flush=True)
+        watch(f"{NAMESPACE}/identifier", duration=args.duration, look=look)
     return 0
 
 
 @contextlib.contextmanager
-def _running(parameters: Path, namespace: str, settings: Mapping[str, str]) -> Iterator[Processes]:
-    """Run nodes as long as the context lasts; SIGTERM and SIGHUP end the program as Ctrl-C does.
-
-    However this process ends, they do.
-
-    Parameters
-    ----------
-    parameters : Path
-        Their parameter file.
-    namespace : str
-    settings : mapping of str to str
-        Of each node of :mod:`fden_ros.nodes.programs` to start one parameter more,
-        ``name:=value``; empty: none.
-    """
-    processes: Processes = {}
-    before = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in ending_signals()
-        if number != signal.SIGINT
-    }
+def _running(name: str, parameters: Path, setting: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a node of :mod:`fden_ros.nodes.programs` with one parameter more, ``name:=value``."""
+    command = [
+        *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
+        *("--params-file", str(parameters), "-r", f"__ns:={NAMESPACE}"),
+        *("--log-level", "error", "-p", setting),
+    ]
+    # In a session of its own: Ctrl-C comes to it once, from here.
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=end_with_parent,
+    )
     try:
-        for name, setting in settings.items():
-            command = [
-                *(sys.executable, "-m", "fden_ros.nodes.programs", name, "--ros-args"),
-                *("--params-file", str(parameters), "-r", f"__ns:={namespace}"),
-                *("--log-level", "error", *(("-p", setting) if setting else ())),
-            ]
-            # In a session of their own: Ctrl-C comes to them once, from here.
-            processes[name] = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-                preexec_fn=end_with_parent,
-            )
-        yield processes
+        yield process
     finally:
-        # In reverse, so that nobody commands a rig that is gone.
-        for process in reversed(processes.values()):
-            _stop(process)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_STOP_TIMEOUT)
+        except (subprocess.TimeoutExpired, KeyboardInterrupt):
+            process.kill()
 
 
 def end_with_parent(number: int = signal.SIGINT) -> None:
     """Have Linux send the calling process a signal when its parent is gone, even killed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    end = time.monotonic() + _STOP_TIMEOUT
-    while process.poll() is None:
-        if time.monotonic() > end:
-            process.kill()
-        # A second Ctrl-C must not leave anybody behind.
-        with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
-            process.wait(0.2)
