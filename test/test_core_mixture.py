@@ -572,34 +572,6 @@ def test_the_noise_of_the_motion_is_that_of_all_steps_and_not_of_the_last() -> N
     assert own.intake.compression_sd == pytest.approx(before, rel=0.02)
 
 
-def test_the_rig_is_taught_by_all_hypotheses_that_are_alive() -> None:
-    config = replace(CONFIG, uncertainty=replace(CONFIG.uncertainty, friction_sd=0.005))
-    estimator = estimator_of(config)
-    list(press(estimator, tissue_of(), motion(0.15)))
-    own = estimator.press
-    assert own is not None and own.best.solved is not None
-    one, solved = own.best, own.best.solved
-    place = [unknown.name for unknown in solved.model.unknowns].index("friction")
-    best = solved.best
-    moved = replace(best, mean=best.mean + 0.5 * np.eye(best.mean.size)[place])
-    other = Hypothesis(one.past, one.setting)
-    other.take_over(replace(solved, solutions=Solutions((moved,), (0.0,))), 0.0)
-    own.hypotheses = [one, other]
-
-    def friction(share: float) -> float:
-        """Return what is taught where the other has a share."""
-        for each, weight in ((one, 1.0 - share), (other, share)):
-            each.shift_weight(math.log(weight) - each.log_weight)
-        own.weigh()
-        rig = estimator.rig()
-        assert rig is not None
-        return rig.values["friction"].mean
-
-    low, high = friction(1e-3), friction(1.0 - 1e-3)
-    assert high - low == pytest.approx(0.5 * 0.005, rel=0.01)
-    assert friction(0.5) == pytest.approx(0.5 * (low + high), rel=1e-6)
-
-
 @pytest.mark.parametrize(("gain", "is_told"), [(3.5, True), (2.5, False)])
 def test_a_new_law_is_one_new_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gain: float, is_told: bool

@@ -157,7 +157,6 @@ def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere():
             assert refused.message == f"the probe is in contact: lift it, then {service}"
         live.stream(2.0, lambda t: max(5e-3 - 0.02 * t, -2e-3))
         bench.wait_for(lambda: bench.summaries, "the release")
-        assert bench.call(Trigger, "forget_rig").success
         bench.wait_for(lambda: bench.call(Trigger, "tare").success, "the air")
         assert bench.call(Trigger, "reset").success
 

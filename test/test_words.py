@@ -24,7 +24,6 @@ from fden_ros.core.estimation import (
     Budget,
     EstimatorConfig,
     ParameterSet,
-    RigKnowledge,
     Uncertainty,
 )
 from fden_ros.core.estimation.budget import SOURCES
@@ -90,14 +89,6 @@ COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 4e-4, 1e-6], [0.0, 1e-6, 1e-6
 SUMMARY = summary(
     flags=Flag.MODEL_MISMATCH, classes=CLASSES, estimate=ESTIMATE._replace(covariance=COVARIANCE)
 )
-
-
-def test_what_is_learned_of_the_rig_goes_into_the_summary():
-    rig = RigKnowledge((2e-3, 0.01), ((1e-6, 0.0), (0.0, 0.0)), contacts=3)
-    message = summary_message(replace(SUMMARY, rig=rig), "probe")
-    assert (message.delay, message.friction) == (2e-3, 0.01)
-    assert message.delay_sd == pytest.approx(1e-3)
-    assert (message.friction_sd, message.rig_contacts) == (0.0, 3)
 
 
 def test_decision_goes_into_the_message_with_its_flags():

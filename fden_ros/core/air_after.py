@@ -9,8 +9,6 @@ import math
 from typing import NamedTuple
 
 from fden_ros.core.contact import SLOW_NS, Onset
-from fden_ros.core.estimation import RigKnowledge, drift_evidence
-from fden_ros.core.outputs import Flag
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
@@ -42,16 +40,10 @@ class AirChange(NamedTuple):
         """Whether the force has fallen by more than noise and drift explain."""
         return self.deviations < -_CONTRADICTION
 
-    def verdict(self, rig: RigKnowledge | None) -> tuple[Flag, float, tuple[float, ...] | None]:
-        """Return what it says of the contact: flag, factor of the variance, and of the drift.
-
-        `rig`: what was known before, of which the drift is learned; None: it is not.
-        """
-        drift = drift_evidence(*self) if rig is not None and self.drift_variance else None
-        factor = rig.drift_factor(drift) if rig is not None and drift is not None else 1.0
-        if abs(self.deviations) > _CONTRADICTION:
-            return Flag.FORCE_DRIFTED, max(1.0 + self.deviations**2, factor), drift
-        return Flag.NONE, factor, drift
+    @property
+    def has_drifted(self) -> bool:
+        """Whether it contradicts what is stated of the drift."""
+        return abs(self.deviations) > _CONTRADICTION
 
 
 class AirAfter:

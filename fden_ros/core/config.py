@@ -62,23 +62,6 @@ class PipelineConfig:
     )
     contact: ContactConfig = field(default_factory=ContactConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    learns_rig: bool = parameter(
-        "rig.learn",
-        False,
-        "Learn delay and friction from contact to contact; false: each begins with what is "
-        "stated.",
-    )
-    learns_motion: bool = parameter(
-        "surface.learn_motion",
-        True,
-        "Learn from site to site how little it moves: down to a quarter of surface.motion_sd.",
-    )
-    learns_drift: bool = parameter(
-        "force.learn_drift",
-        True,
-        "Learn from site to site how far the zero drifts: from a quarter of force.drift_sd to "
-        "four times.",
-    )
     block_duration: float = parameter(
         "estimate.period", 0.01, "One estimate per this time.", "s", 1e-3, 1.0
     )

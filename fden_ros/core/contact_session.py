@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 
 from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact import ContactDetector, Onset, Release, least_noise
-from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import (
-    ContactSummary,
     Flag,
     Output,
     Phase,
@@ -60,11 +57,10 @@ class ContactSession:
             BlockSums(config.block_duration, config.block_compression),
         )
         self.forget()
-        self.forget_rig()
         prepare(config)
 
     def forget(self, *, keeps_contact: bool = False) -> None:
-        """Forget what was learned but of the rig, and the air's force; ids are kept.
+        """Forget what was learned, and the air's force; ids are kept.
 
         `keeps_contact`: a detector in contact waits for the release, and keeps the air's force
         until there is air again.
@@ -76,14 +72,6 @@ class ContactSession:
         self._common.sums.forget()
         if not (keeps_contact and self._detector.in_contact):
             self._detector.reset()
-
-    def forget_rig(self) -> None:
-        """Let the next site begin with what is stated of the rig."""
-        self.rig = RigKnowledge.stated(self._config.estimator)  #: what is known of the rig
-        # These began with what is forgotten now.
-        newest = [self._contact.site] if self._contact is not None else []
-        for site in (*self._sites.visited, *newest):
-            site.lessons.count = False
 
     @property
     def site_count(self) -> int:
@@ -179,7 +167,7 @@ class ContactSession:
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
         self._tilt.see(newest.tilt)
-        site = self._sites.of(onset, self._detector.left_unseen_ns, self.rig)
+        site = self._sites.of(onset, self._detector.left_unseen_ns)
         site.check_history(onset)
         self.contact_count += 1
         is_air_proved = self._contact is not None and self._contact.is_air_proved
@@ -214,18 +202,9 @@ class ContactSession:
         )
 
     def _lead(self, step: Callable[[Contact], Iterable[Output]]) -> Iterator[Output]:
-        """Lead the contact on; give what comes of it, a summary with the rig as known by then."""
-        contact = self._contact
-        if contact is None:
-            return
-        before, outputs = contact.state, list(step(contact))
-        if contact.state is not before:
-            is_newest = contact.site.site_id == self.site_count
-            self.rig = contact.taught(self.rig, is_newest=is_newest)
-        for output in outputs:
-            if isinstance(output, ContactSummary):
-                output = replace(output, rig=self.rig)
-            yield output
+        """Lead the contact on; give what comes of it."""
+        if self._contact is not None:
+            yield from step(self._contact)
 
     # Interruption and end
 

@@ -20,7 +20,6 @@ from collections import Counter
 
 from fden_ros.core.block import BlockSums, PhaseMeter
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.oscillation import (
     LEAST_AMPLITUDE,
     ComplexModulus,
@@ -121,8 +120,6 @@ class ContinuousSession:
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected
         self.site_count = 0  #: places so far: number of the newest
-        #: What is stated of the rig: nothing is learned.
-        self.rig = RigKnowledge.stated(config.estimator)
         self._place: Place | None = None
         # A sphere's modulus would need its depth.
         geometry = config.geometry
@@ -152,9 +149,6 @@ class ContinuousSession:
         self._phase = PhaseMeter()
         self._start_ns: int | None = None
         self._window = Window(0)
-
-    def forget_rig(self) -> None:
-        """Do nothing: nothing was learned of the rig."""
 
     def zero(self) -> str:
         """Return why there is no force in the air."""

@@ -17,7 +17,6 @@ from fden_ros.core.estimation import (
     EstimatorConfig,
     Innovation,
     ParameterSet,
-    RigKnowledge,
 )
 from fden_ros.core.law import ApparentStiffness as ApparentStiffness
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
@@ -148,7 +147,6 @@ class ContactSummary:
     apparent_stiffness: ApparentStiffness | None = None
     #: What makes the estimate uncertain where it has not converged.
     budget: Budget | None = None
-    rig: RigKnowledge | None = None  #: with which the next site begins
     #: Slopes of force over displacement where it was deepest; of a place on a path the newest.
     measured: BothWays = NOT_MEASURED
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it

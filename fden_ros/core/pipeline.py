@@ -17,7 +17,6 @@ from typing import Any
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
-from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
 from fden_ros.core.measured_contacts import MeasuredContacts
 from fden_ros.core.measured_stiffness import BothWays
@@ -121,11 +120,6 @@ class Pipeline:
         """Whether the force fell below its value in the air, as one of the wrong sign does."""
         return self._session.air_events[0] > 0
 
-    @property
-    def rig(self) -> RigKnowledge:
-        """What is known of the rig."""
-        return self._session.rig
-
     # Inputs
 
     def add_force(self, stamp_ns: int, force: float) -> None:
@@ -190,7 +184,7 @@ class Pipeline:
         return None
 
     def reset(self) -> str | None:
-        """Forget what was learned but of the rig; return None, or why that cannot be done now."""
+        """Forget what was learned; return None, or why that cannot be done now."""
         if self._session.in_contact:
             return "the probe is in contact: lift it, then reset"
         self._outlet.put(self._session.break_off(self.newest_ns))
@@ -199,10 +193,6 @@ class Pipeline:
         self._restart_streams()
         self._begin_epoch(0)
         return None
-
-    def forget_rig(self) -> None:
-        """Let the next site begin with what is stated of the rig."""
-        self._session.forget_rig()
 
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""

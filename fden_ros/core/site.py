@@ -24,11 +24,9 @@ from fden_ros.core.estimation import (
     Observation,
     PosteriorEstimator,
     Reservations,
-    RigKnowledge,
     reserved,
 )
 from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
-from fden_ros.core.lessons import Lessons
 from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
 from fden_ros.core.outputs import Flag
@@ -57,7 +55,7 @@ class Learned(NamedTuple):
 class Site(Standing):
     """One place on the tissue, from the first touch on.
 
-    `rig` is what is known of the rig before that, `flags` what stands against every estimate.
+    `flags`: what stands against every estimate.
 
     Attributes
     ----------
@@ -65,15 +63,12 @@ class Site(Standing):
         Nominal displacement at zero strain [m]; its standard deviation, as compression [1].
     """
 
-    def __init__(
-        self, site_id: int, onset: Onset, config: PipelineConfig, rig: RigKnowledge, flags: Flag
-    ) -> None:
+    def __init__(self, site_id: int, onset: Onset, config: PipelineConfig, flags: Flag) -> None:
         super().__init__(config.estimator, flags)
         first = onset.samples[0]
         self.site_id = site_id
         self.start_ns = self._last_ns = first.stamp_ns
         self.position = first.position  #: of the first touch [m]
-        self.lessons = Lessons(config, rig)
         self._config = config
         self.whereabouts = Whereabouts(first, config)
         self.origin, self.origin_sd = origin_of(onset, config)
@@ -158,7 +153,7 @@ class Site(Standing):
         self._lift_off = LiftOff(onset.release_force, scale, is_first=is_first)
         if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
-            new = _new_estimator(config, noise_sd, origin_sd, noise, self.lessons.known)
+            new = _new_estimator(config, noise_sd, origin_sd, noise)
             if before is not None and before.is_elsewhere(onset) is None:
                 before.may_go_on_as(new, onset, self)
             self._estimator = new
@@ -289,7 +284,6 @@ class Site(Standing):
             return
         estimator.finish()
         self.find(_checked(estimator.estimate()))
-        self.doubt(Flag.NONE, self.lessons.motion_factor(estimator))
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.RIG_PRIOR_CONFLICT, 1.0 + off**2)
@@ -300,12 +294,6 @@ class Site(Standing):
         if estimator is None or estimate is None or estimate.converged:
             return None
         return estimator.budget()
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a contact; None where it tells nothing."""
-        if self._estimator is None or not self.is_observed:
-            return None
-        return self.lessons.rig(self._estimator)
 
 
 def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate | None) -> float:
@@ -342,7 +330,7 @@ def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Bloc
 def prepare(config: PipelineConfig) -> None:
     """Import and compute what takes a moment: not only at the first touch."""
     config.geometry.compression(0.1)
-    _new_estimator(config, 1.0, 1.0, 0.0, RigKnowledge.stated(config.estimator))
+    _new_estimator(config, 1.0, 1.0, 0.0)
 
 
 def dips(duration_ns: int) -> bool:
@@ -351,12 +339,12 @@ def dips(duration_ns: int) -> bool:
 
 
 def _new_estimator(
-    config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float, rig: RigKnowledge
+    config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float
 ) -> Estimator:
     geometry = config.geometry
     if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
         variance = noise / geometry.length**2
-        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance, rig)
+        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
     return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
 
 

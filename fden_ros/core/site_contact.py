@@ -10,12 +10,10 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 from fden_ros.core.account import Account, Common
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.contact import Onset
-from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import ContactSummary, Flag, Output
 from fden_ros.core.site import Site
 from fden_ros.core.standing import SiteState
@@ -109,7 +107,6 @@ class Contact:
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
-        self._drift: tuple[float, ...] | None = None
 
     @property
     def flags(self) -> Flag:
@@ -289,7 +286,7 @@ class Contact:
         """Judge the contact by the air behind it; give a second summary if that contradicts it.
 
         Its site is doubted: the covariance is widened by as much as the air contradicts what is
-        stated, or what was learned; or, where the first contact was taken for air, withdrawn.
+        stated; or, where the first contact was taken for air, withdrawn.
         `before_ns`: when the next contact began.
         """
         if not self._may(Event.VERDICT):
@@ -305,31 +302,10 @@ class Contact:
             # What was taken for the first air was a contact: there is no origin, nor a history.
             site.withdraw()
         else:
-            teaches = self._config.learns_drift and site.lessons.count
-            flag, factor, drift = found.verdict(site.lessons.known if teaches else None)
-            self._drift = drift if self._is_claimed else None
-            if factor == 1.0:
+            if not found.has_drifted:
                 return
             if was_observed:
-                site.doubt(flag, factor)
+                site.doubt(Flag.FORCE_DRIFTED, 1.0 + found.deviations**2)
         if was_observed:
             assert self._summary is not None
             yield self._account.second(self._summary, stamp_ns)
-
-    # What it teaches
-
-    @property
-    def _is_claimed(self) -> bool:
-        """Whether its summary has converged, and nothing stands against it."""
-        return self._summary is not None and self._summary.converged and not self.flags
-
-    def taught(self, rig: RigKnowledge, *, is_newest: bool) -> RigKnowledge:
-        """Return what is known of the rig once a contact has entered its state.
-
-        Only one that is claimed teaches: delay, friction and the surface's motion with its
-        summary, the force's drift with the air behind it. `is_newest`: the site is; one that is
-        visited again began with less than is known of the rig by now.
-        """
-        if self.state is State.AIR_CHECK and is_newest and self._is_claimed:
-            return replace(self.site.rig() or rig, drift=rig.drift)
-        return rig.drifted(self._drift) if self._drift is not None else rig

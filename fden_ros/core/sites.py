@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import Onset
-from fden_ros.core.estimation import RigKnowledge
 from fden_ros.core.outputs import Flag
 from fden_ros.core.site import Site, dips
 
@@ -31,10 +30,10 @@ class Sites:
         self.present: Site | None = None
         self.visited: list[Site] = []
 
-    def of(self, onset: Onset, left_unseen_ns: int | None, rig: RigKnowledge) -> Site:
+    def of(self, onset: Onset, left_unseen_ns: int | None) -> Site:
         """Return the site that is touched, from now on the present one.
 
-        The probe may have left a tissue unseen at `left_unseen_ns`; a new site begins with `rig`.
+        The probe may have left a tissue unseen at `left_unseen_ns`.
         """
         before, first = self.present, onset.samples[0]
         is_elsewhere = before.is_elsewhere(onset) if before is not None else True
@@ -46,7 +45,7 @@ class Sites:
         site = next((s for s in known if s.whereabouts.is_at(first.position)), None)
         if site is None:
             self.count += 1
-            site = Site(self.count, onset, self._config, rig, self._flags)
+            site = Site(self.count, onset, self._config, self._flags)
             self.visited = [*self.visited[1 - _MOST_VISITED :], site]
         is_doubted = left_unseen_ns is not None and dips(first.stamp_ns - left_unseen_ns)
         if is_doubted or (before is not None and before.leaves_doubt(first.stamp_ns)):

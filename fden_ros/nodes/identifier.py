@@ -4,8 +4,8 @@
 """The lifecycle node ``identifier``: the pipeline on live topics.
 
 Subscribes to ``force`` and ``displacement``; publishes
-``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``,
-``~/forget_rig`` and ``~/tare``.
+``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``
+and ``~/tare``.
 Everything that computes is in :mod:`fden_ros.core`; what is there while the node is active is in
 :mod:`fden_ros.nodes.session`.
 """
@@ -190,7 +190,6 @@ class Identifier(LifecycleNode):
             self.create_service(Trigger, name, answer)
             for name, answer in (
                 ("~/reset", self._on_reset),
-                ("~/forget_rig", self._on_forget_rig),
                 ("~/tare", self._on_tare),
             )
         ]
@@ -251,16 +250,8 @@ class Identifier(LifecycleNode):
     # Services
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        done = "everything learned but of the rig was forgotten"
+        done = "everything learned was forgotten"
         return self._answer("reset", response, lambda session: session.reset(), done)
-
-    def _on_forget_rig(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        done = "the next site begins with the parameters' rig"
-        return self._answer(
-            "forget_rig", response, lambda session: session.pipeline.forget_rig(), done
-        )
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         done = "the present force is zero now"

@@ -124,7 +124,7 @@ class Session:
             self._node.destroy_timer(timer)
 
     def reset(self) -> str | None:
-        """Forget what was learned but of the rig; return None, or why that cannot be done now."""
+        """Forget what was learned; return None, or why that cannot be done now."""
         problem = self.pipeline.reset()
         if problem is None:
             self.inputs.reset()

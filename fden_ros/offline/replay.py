@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.estimation import KEYS, Budget, Estimate, RigKnowledge
+from fden_ros.core.estimation import KEYS, Budget, Estimate
 from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
@@ -239,7 +239,6 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "ratio_low": low,
         "ratio_high": high,
         "uncertainty_budget": _budget_object(summary.budget),
-        "rig": _rig_object(summary.rig),
     }
 
 
@@ -279,9 +278,3 @@ def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
     return {
         name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)} for name in budget.parts
     }
-
-
-def _rig_object(rig: RigKnowledge | None) -> dict[str, Any] | None:
-    if rig is None:
-        return None
-    return {name: {"value": value.mean, "sd": value.sd} for name, value in rig.values.items()}

@@ -23,7 +23,6 @@ from fden_ros.core.estimation import (
     OtherLaw,
     OtherLawKind,
     ParameterSet,
-    RigKnowledge,
 )
 from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
@@ -143,7 +142,6 @@ def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     _fill_apparent_stiffness(message, summary.apparent_stiffness)
     _fill_measured(message, summary.measured)
     _fill_classes(message, summary)
-    _fill_rig(message, summary.rig)
     return message
 
 
@@ -157,15 +155,6 @@ def _fill(message: Any, source: Any, *names: str) -> None:
     """Set what has the same name in both."""
     for name in names:
         setattr(message, name, getattr(source, name))
-
-
-def _fill_rig(message: PalpationSummary, rig: RigKnowledge | None) -> None:
-    if rig is None:
-        return
-    for name, value in rig.values.items():
-        setattr(message, name, value.mean)
-        setattr(message, f"{name}_sd", value.sd)
-    message.rig_contacts = rig.contacts
 
 
 def _fill_parameters(

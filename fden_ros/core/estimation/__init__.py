@@ -50,7 +50,6 @@ from fden_ros.core.estimation.estimator_config import (
 )
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import ended
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge, drift_evidence
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
@@ -86,12 +85,10 @@ __all__ = [
     "PosteriorEstimator",
     "Prior",
     "Reservations",
-    "RigKnowledge",
     "StateIndex",
     "Uncertainty",
     "converged",
     "determined",
-    "drift_evidence",
     "ended",
     "kernel_change",
     "log_stiffness",

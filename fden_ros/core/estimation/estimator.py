@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Budget, Estimate
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
 
 
 class Block(NamedTuple):
@@ -63,14 +62,6 @@ class Estimator:
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         return 0.0
-
-    def motion_evidence(self) -> list[float] | None:
-        """Return the log evidence for scales of the surface's stated motion; None: not known."""
-        return None
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after a press; None where it tells nothing."""
-        return None
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate uncertain; None: not known."""

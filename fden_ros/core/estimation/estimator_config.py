@@ -152,11 +152,6 @@ class Uncertainty:
         """Relative standard deviation of the relaxation kernel from the law [1]."""
         return KERNEL_SHARE * self.characteristic_sd
 
-    @property
-    def rig_sd(self) -> tuple[float, float]:
-        """Deviations of what is learned of the rig: delay [s] and friction [N]."""
-        return self.delay_sd, self.friction_sd
-
 
 #: A model and a rig that are exact.
 NOTHING_UNKNOWN = Uncertainty(**{field.name: 0.0 for field in fields(Uncertainty)})

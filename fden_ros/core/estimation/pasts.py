@@ -86,7 +86,7 @@ class Pasts:
         total = float(logsumexp([past.log_odds for past in same]))
         for past in same:
             past.setting = replace(
-                past.setting, config=setting.config, rig=setting.rig, stress_sd=setting.stress_sd
+                past.setting, config=setting.config, stress_sd=setting.stress_sd
             )
             past.shift += shift
             past.log_odds -= total

@@ -11,7 +11,6 @@ several pasts, and a hypothesis for each.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Sample
@@ -26,8 +25,6 @@ from fden_ros.core.estimation.press_estimate import estimate_of, prior_estimate
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.proposals.place import Tissue
-from fden_ros.core.estimation.rig_knowledge import RigKnowledge
-from fden_ros.core.estimation.rig_of_press import misfit, motion_evidence, rig_after
 from fden_ros.core.estimation.search import Solved
 from fden_ros.core.law import Geometry
 
@@ -43,8 +40,6 @@ class PosteriorEstimator(Estimator):
         Standard deviation of the strain origin [1]; 0: known.
     path_variance : float
         Of the compression per sample, times the time between samples [s].
-    rig : RigKnowledge, optional
-        What earlier contacts have told; without it what the configuration states.
 
     Attributes
     ----------
@@ -59,20 +54,10 @@ class PosteriorEstimator(Estimator):
         noise_sd: float,
         origin_sd: float = 0.0,
         path_variance: float = 0.0,
-        rig: RigKnowledge | None = None,
     ) -> None:
-        known = rig or RigKnowledge.stated(config)
-        setting = PressSetting(
-            replace(config, uncertainty=known.learned(config.uncertainty)),
-            config.uncertainty,
-            geometry,
-            origin_sd,
-            noise_sd,
-            zero_sd=0.0,
-            drift_sd=0.0,
-            rig=known,
+        self._pasts = Pasts(
+            PressSetting(config, geometry, origin_sd, noise_sd, zero_sd=0.0, drift_sd=0.0)
         )
-        self._pasts = Pasts(setting)
         self._path_variance = path_variance
         self._time = self._compression_sd = 0.0
         self.press: PressPosterior | None = None
@@ -147,15 +132,7 @@ class PosteriorEstimator(Estimator):
     @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
-        return misfit(self._solved) if self._solved is not None else 0.0
-
-    def motion_evidence(self) -> list[float] | None:
-        """Return the log evidence of the press for scales of the surface's stated motion."""
-        return motion_evidence(self.press) if self.press is not None else None
-
-    def rig(self) -> RigKnowledge | None:
-        """Return what is known of the rig after the press; None where it tells nothing."""
-        return rig_after(self.press) if self.press is not None else None
+        return self._solved.rig_misfit if self._solved is not None else 0.0
 
     @property
     def _solved(self) -> Solved | None:

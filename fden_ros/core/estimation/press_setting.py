@@ -15,12 +15,11 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Uncertainty
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.proposals import functions
-from fden_ros.core.estimation.rig_knowledge import RIG, RigKnowledge
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.unknowns import (
@@ -74,8 +73,7 @@ class Carried:
 class PressSetting:
     """What is known of a press before its first sample."""
 
-    config: EstimatorConfig  #: with the scales of motion and drift as they are learned
-    stated: Uncertainty  #: of the rig, as it is stated
+    config: EstimatorConfig
     geometry: Geometry
     origin_sd: float  #: standard deviation of the strain origin [1]; 0: known
     #: Standard deviations of a sample's stress [Pa], of its zero [Pa] and of that one's drift
@@ -83,7 +81,6 @@ class PressSetting:
     stress_sd: float
     zero_sd: float
     drift_sd: float
-    rig: RigKnowledge
     carried: Carried | None = None  #: None: the first press of the site
     #: What earlier presses have left of the tissue; None: it is at rest.
     free: FreeSurface | None = None
@@ -214,16 +211,11 @@ class PressSetting:
         return self.posterior((*events, *more), compression_sd, deepest)
 
     def _first_belief(self, model: PressModel) -> Belief:
-        """Return the belief at the first press of a site: as stated, and as the rig is known."""
+        """Return the belief at the first press of a site: as stated."""
         mean, precision = np.zeros(model.size), np.zeros((model.size, model.size))
         for k, unknown in enumerate(model.unknowns):
             mean[k] = unknown.mean
             precision[k, k] = 1.0 / unknown.unit**2 if unknown.unit else 1.0
-        own, found = rig_places(model)
-        if own:
-            rig_mean, rig_covariance = self.rig.scaled(self.stated)
-            mean[found] = rig_mean[own]
-            precision[np.ix_(found, found)] = np.linalg.inv(rig_covariance[np.ix_(own, own)])
         return Belief(mean, precision)
 
 
@@ -240,13 +232,6 @@ def _count_changes(precision: Array, model: PressModel) -> None:
         precision[k, k] += by_change[LAW_PLACES] @ np.array(unknown.of_law)
         precision[k] -= by_change
         precision[:, k] -= by_change
-
-
-def rig_places(model: PressModel) -> tuple[list[int], list[int]]:
-    """Return the places of what is learned of a rig, in its knowledge and in a state."""
-    names = [unknown.name for unknown in model.unknowns]
-    own = [i for i, name in enumerate(RIG) if name in names]
-    return own, [names.index(RIG[i]) for i in own]
 
 
 def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Belief, bool]:

@@ -30,7 +30,7 @@ from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.rivals import Question, Rivals, rivals_of
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Unknown
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Lifetime, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
@@ -54,6 +54,18 @@ class Solved:
     def model(self) -> PressModel:
         """The model of the press."""
         return self.posterior.model
+
+    @property
+    def rig_misfit(self) -> float:
+        """How far the press says the rig is from what is stated, in standard deviations [1]."""
+        belief, best, off = self.posterior.belief, self.solutions.best, 0.0
+        before = belief.variances()
+        for k, unknown in enumerate(self.model.unknowns):
+            if unknown.lifetime is Lifetime.RIG:
+                # It tells at least this part of the variance.
+                told = max(before[k] - best.covariance[k, k], 0.01 * before[k])
+                off = max(off, abs(best.mean[k] - belief.mean[k]) / math.sqrt(told))
+        return off
 
     @property
     def log_evidence(self) -> float:
