@@ -1,0 +1,310 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The cells of a place: presses as arrays, and what each rate remembers of their motion.
+
+Between all points the motion is linear. A cell is the mean of two points. What a rate
+:math:`\lambda` has left, at a cell, of a rise that ended at a point is
+
+.. math:: \tfrac12 \sum_{t} e^{-\lambda (t - t_k)}\, (1 - e^{-\lambda h_k}) / (\lambda h_k)
+
+over the two times t of the cell: a tensor (rates, cells, points) of the motion's times alone. The
+kernel of any relaxation is its product with the weights of the rates. A new cell appends a row
+and its points append columns; older cells never see newer points.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.law import RATE_COUNT, RATES
+from fden_ros.core.quadrature.record import Block
+
+#: Rates of the creep of a free surface: those of the relaxation, and one for all that is slower.
+CREEP_RATES: Array = np.append(RATES, 0.0)
+#: The stress falls to 0 within this time at the end of a press [s].
+_LETTING_GO = 1e-3
+#: A rise is cut where it is longer than this part of the largest indentation [1].
+_DEPTH_STEPS = 80.0
+
+
+@dataclass(frozen=True, eq=False)
+class Press:
+    """One press: n points of the motion, N cells of two points."""
+
+    times: Array  #: [s], (n,)
+    indentations: Array  #: from the nominal contact point [1], (n,)
+    speeds: Array  #: as far as they are above their noise [1/s], (n,)
+    first: Indices  #: points of the cells, (N,)
+    last: Indices
+    middles: Array  #: [s], (N,)
+    durations: Array  #: of the blocks in them [s], (N,)
+    counts: Array  #: samples, (N,)
+    stresses: Array  #: means [Pa], (N,)
+    corners: Array  #: strain by which the motion is off its line where it bends [1], (N,)
+    steps: Array  #: time between the samples there [s], (N,)
+    start: float  #: time of its first point [s]
+    #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
+    #: of the first cells and points alone until it is :meth:`remembered`.
+    memory: Array
+
+    @property
+    def end(self) -> float:
+        """When the stress is over [s]."""
+        return float(self.times[-1]) + _LETTING_GO
+
+    def appended(self, block: Block, noise_sd: float) -> Press:
+        """Return the press with one block more; one that was not observed adds points alone."""
+        spread = block.spread
+        offsets = np.array([-spread, spread]) if spread > 0.0 else np.zeros(1)
+        times, motion = block.middle + offsets, block.indentation + block.slope * offsets
+        before = self.times.size
+        joined = np.append(self.times[-2:], times), np.append(self.indentations[-2:], motion)
+        slopes = np.diff(joined[1]) / np.maximum(np.diff(joined[0]), 1e-9)
+        own = slopes[-1:] if spread == 0.0 else _seen_slope(block.slope, block.slope_sd, noise_sd)
+        step = block.step or float(joined[0][-1] - joined[0][-2])
+        found = replace(
+            self,
+            times=np.append(self.times, times),
+            indentations=np.append(self.indentations, motion),
+            speeds=np.append(self.speeds, np.full(times.size, own)),
+        )
+        if not block.is_observed:
+            return found
+        return replace(
+            found,
+            first=np.append(self.first, before),
+            last=np.append(self.last, before + times.size - 1),
+            middles=np.append(self.middles, block.middle),
+            durations=np.append(self.durations, block.duration + block.step),
+            counts=np.append(self.counts, block.samples),
+            stresses=np.append(self.stresses, block.stress),
+            corners=np.append(self.corners, float(np.abs(np.diff(slopes)).max(initial=0)) * step),
+            steps=np.append(self.steps, max(step, 1e-4)),
+        )
+
+    def behind(self, points: int, cells: int) -> Press:
+        """Return what it has behind some points and cells."""
+        of_points = {name: getattr(self, name)[points:] for name in _OF_POINTS}
+        of_cells = {name: getattr(self, name)[cells:] for name in _OF_CELLS}
+        first, last = self.first[cells:] - points, self.last[cells:] - points
+        return replace(self, first=first, last=last, **of_points, **of_cells)
+
+    def remembered(self) -> Press:
+        """Return it with its whole memory."""
+        n, size = self.times.size, self.middles.size
+        if self.memory.shape[1:] == (size, n):
+            return self
+        found = np.zeros((RATE_COUNT + 2, size, n))
+        _, done, points = self.memory.shape
+        found[:, :done, :points] = self.memory
+        elapsed = np.diff(self.times, prepend=self.times[0])
+        y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
+        own = 0.5 * -np.expm1(-y) / y
+        for ends in (self.first[done:], self.last[done:]):
+            since = self.times[ends][:, None] - self.times
+            seen = since >= 0.0
+            left = np.exp(-np.multiply.outer(RATES, np.maximum(since, 0.0)))
+            found[:-2, done:] += np.where(seen, left, 0.0) * own[:, None, :]
+            found[-2, done:] += 0.5 * seen
+            steps, rows = elapsed[ends], np.arange(done, size)
+            found[-1, rows, ends] += np.divide(
+                0.5, steps, out=np.zeros_like(steps), where=steps > 0.0
+            )
+        return replace(self, memory=found)
+
+
+_OF_POINTS = "times", "indentations", "speeds"
+_OF_CELLS = "middles", "durations", "counts", "stresses", "corners", "steps"
+
+
+def _seen_slope(slope: Array | float, slope_sd: Array | float, noise_sd: float) -> Array:
+    """Return slopes as far as they are above their noise.
+
+    One counts by half at three of its standard deviations: friction and delay would else meet the
+    noise of the motion in a hold.
+    """
+    square, noise = np.square(slope), np.square(3.0 * noise_sd * np.asarray(slope_sd))
+    return np.asarray(slope * square / np.where(square > 0.0, square + noise, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Blocks as arrays: points (n,) and observed blocks (m,)."""
+
+    times: Array
+    indentations: Array
+    speeds: Array
+    corners: Array  #: of the points [1]
+    steps: Array  #: between the samples about a point [s]
+    first: Indices
+    last: Indices
+    durations: Array
+    counts: Array
+    stresses: Array
+
+
+def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
+    middle, spread, indentation, slope, slope_sd, step, duration, count, stress, seen = np.array(
+        blocks
+    ).T
+    is_line = spread > 0.0
+    block = np.repeat(np.arange(len(blocks)), 1 + is_line)
+    last = np.cumsum(1 + is_line) - 1
+    first = last - is_line
+    offsets = -spread[block]
+    offsets[last] = spread
+    times = middle[block] + offsets
+    motion = indentation[block] + slope[block] * offsets
+    elapsed = np.diff(times, prepend=times[0])
+    bends = np.zeros_like(times)
+    speeds = _seen_slope(slope, slope_sd, noise_sd)[block]
+    if times.size > 2:
+        steepness = np.diff(motion) / np.maximum(np.diff(times), 1e-9)
+        bends[1:-1] = np.abs(np.diff(steepness))
+        speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
+    # A sample alone knows its step from its neighbours.
+    near, own = np.maximum(elapsed, np.append(elapsed[1:], 0.0)), step[block]
+    steps = np.where(own > 0.0, np.minimum(own, near), near)
+    at = np.flatnonzero(seen)
+    return _Rows(
+        times, motion, speeds, bends * steps, steps, first[at], last[at],
+        (duration + step)[at], count[at], stress[at],
+    )  # fmt: skip
+
+
+def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
+    """Return the cell of each observed block, at most some `most` cells.
+
+    They are put together where stress and age of the motion change little, and never across a
+    corner of the motion.
+    """
+    m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
+    if m <= most:
+        return np.arange(m)
+    turns = corner > max(0.2 * float(corner.max()), 1e-4)
+    since = middles - np.maximum.accumulate(np.where(turns, middles - 1e-3, rows.times[0]))
+    scale = max(float(np.abs(rows.stresses).max()), 1e-12)
+    change = np.abs(np.diff(rows.stresses, prepend=0.0)) / scale
+    age = np.maximum(np.diff(np.log(since + 0.02), prepend=math.log(0.02)), 0.0)
+    measure = np.cumsum(change) / max(change.sum(), 1e-12) + 0.3 * np.arange(m) / m
+    measure += np.cumsum(age) / max(age.sum(), 1e-12)
+    cell = np.floor(measure / measure[-1] * (most - 1e-6)).astype(np.intp)
+    begins = (np.diff(cell, prepend=cell[0]) > 0) | turns | np.append(False, turns[:-1])
+    begins[0] = False
+    return np.cumsum(begins)
+
+
+def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
+    """Return a press of some `most` cells or fewer from all its blocks."""
+    rows = _rows(blocks, noise_sd)
+    times, first, last = rows.times, rows.first, rows.last
+    met = np.append(first[:1], last[:-1] + 1)
+    corner = np.maximum.reduceat(rows.corners, met)
+    group = _groups(rows, corner, most)
+    weights = np.zeros((group[-1] + 1, group.size))
+    weights[group, np.arange(group.size)] = rows.counts
+    total = weights.sum(axis=1)
+    weights /= total[:, None]
+    middles, halves = 0.5 * (times[first] + times[last]), 0.5 * (times[last] - times[first])
+    middle = weights @ middles
+    spread = np.sqrt(np.maximum(weights @ (middles**2 + halves**2) - middle**2, 0.0))
+    spread[spread < 1e-7] = 0.0
+    ends = np.round(np.concatenate([middle - spread, middle + spread]), 7)
+    grid = _points(rows, ends)
+    at = [
+        k + int(np.argmax(rows.corners[k:e]))
+        for k, e in zip(met, [*met[1:], times.size], strict=True)
+    ]
+    size = middle.size
+    press = Press(
+        grid,
+        np.interp(grid, times, rows.indentations),
+        np.interp(grid, times, rows.speeds),
+        np.searchsorted(grid, ends[:size]),
+        np.searchsorted(grid, ends[size:]),
+        middle,
+        weights @ rows.durations,
+        total,
+        weights @ rows.stresses,
+        np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2)),
+        weights @ np.maximum(rows.steps[at], 1e-4),
+        float(grid[0]),
+        np.zeros((RATE_COUNT + 2, 0, 0)),
+    )
+    return press.remembered()
+
+
+def _points(rows: _Rows, ends: Array) -> Array:
+    """Return the times of the motion's points.
+
+    Those of the cells, corners of the motion, its beginning, and steps of the indentation.
+    """
+    times, motion = rows.times, rows.indentations
+    deepest = max(float(motion.max()), 1e-9)
+    gone = np.cumsum(np.abs(np.diff(motion, prepend=motion[0]))) + 1e-12 * np.arange(times.size)
+    tick = max(deepest, 0.5 * float(gone[-1])) / _DEPTH_STEPS
+    taken = np.sort(np.interp(ends, times, gone))
+    ticks = np.arange(gone[0], gone[-1], tick)
+    near = np.searchsorted(taken, ticks).clip(1, taken.size - 1)
+    far = np.minimum(np.abs(taken[near] - ticks), np.abs(taken[near - 1] - ticks)) > 0.5 * tick
+    by_depth = np.interp(ticks[far], gone, times)
+    sharpest = np.argsort(-rows.corners, kind="stable")[:30]
+    first = rows.first[0]
+    early = times[(times <= times[first] + 0.02) | (np.arange(times.size) < first)]
+    nodes = np.concatenate([ends, times[sharpest], by_depth, early[-20:], times[[0, -1]]])
+    grid = np.unique(np.round(nodes, 7))
+    own = grid[np.diff(grid, prepend=-1.0) > 1e-5]
+    return np.unique(np.concatenate([own, ends]))
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """All presses of a place as one record, their arrays one behind the other.
+
+    `older`: the moments of the stress of presses that are no part of it, (33,), at the time
+    `older_end` [s].
+    """
+
+    presses: tuple[Press, ...]
+    older: Array
+    older_end: float
+
+    def joined(self, name: str) -> Array:
+        """Return an array of all presses."""
+        return np.concatenate([getattr(press, name) for press in self.presses])
+
+    @property
+    def point_slices(self) -> list[slice]:
+        """The points of each press."""
+        return _slices([press.times.size for press in self.presses])
+
+    @property
+    def cell_slices(self) -> list[slice]:
+        """The cells of each press."""
+        return _slices([press.middles.size for press in self.presses])
+
+
+def _slices(sizes: Sequence[int]) -> list[slice]:
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+
+
+def moments_of(press: Press) -> Array:
+    """Return what makes the moments at the press's end of stresses at its cells, (33, N).
+
+    The stress is linear between the cells, from 0 at the first point to 0 at the end.
+    """
+    times = np.concatenate([press.times[:1], press.middles, [press.end]])
+    step = np.diff(times)
+    y = np.maximum(np.outer(CREEP_RATES, step), 1e-4)
+    m1 = -np.expm1(-y) / y
+    m2, left = (1.0 - m1) / y, step * np.exp(-np.outer(CREEP_RATES, times[-1] - times[1:]))
+    own = np.pad(left * (m1 - m2), ((0, 0), (0, 1))) + np.pad(left * m2, ((0, 0), (1, 0)))
+    return own[:, 1:-1]

@@ -1,0 +1,269 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The step of one block: exact for all nodes at once, where nodes and columns stay.
+
+A new cell appends a row to S = L L^T, to its factor and to all that is whitened,
+
+.. math::
+    \ell = L^{-1} s, \qquad d^2 = S_{nn} - \ell^T \ell, \qquad \text{row} \leftarrow
+    (\text{row} - \ell^T W) / d
+
+so a and b of each node grow by one product, and its weight by the likelihood of its innovation: a
+bank of exact conditional filters, marginalised over all that is linear (Schon, Gustafsson and
+Nordlund, IEEE Trans. Signal Process. 53, 2005). There is no other approximation than the grid's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.law import RATES
+from fden_ros.core.quadrature.cells import Press
+from fden_ros.core.quadrature.covariance import JITTER, Clocks, Scales, shifts_of
+from fden_ros.core.quadrature.discrepancy import KERNEL, KERNEL_HATS
+from fden_ros.core.quadrature.grid import (
+    Grid,
+    Stiffness,
+    cut,
+    log_sum,
+    of_stiffness,
+    prior_of_log_g,
+    solved,
+)
+from fden_ros.core.quadrature.law import of_cells
+
+#: Cells that a filter takes before its grid is laid anew [1].
+_ROOM = 48
+
+
+class Innovation(NamedTuple):
+    """How one cell compares with its prediction by all nodes [Pa, Pa, Pa^2]."""
+
+    predicted: float
+    innovation: float
+    variance: float
+
+    @property
+    def normalized_squared(self) -> float:
+        """Normalised innovation squared (NIS) [1]."""
+        return self.innovation**2 / self.variance
+
+
+class _Row(NamedTuple):
+    """What a new cell adds."""
+
+    stress: float  #: by the model [Pa]
+    column: Array  #: (k,)
+    responses: Array  #: (M,)
+    clocks: Clocks
+    noise: float  #: variance [Pa^2]
+
+
+class Filter:
+    """The weighted nodes, block by block.
+
+    Attributes
+    ----------
+    grid : Grid
+        Which was laid last.
+    count : int
+        Cells by now.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        law, linear = grid.law, grid.linear
+        self.scales: Scales = grid.start.scales
+        self._heads = grid.cells.y.shape[1]
+        self._prior = grid.covariance.prior(self.scales)
+        self._press = law.place.presses[-1]
+        self._begin_rows()
+        rows = self.white[: self.count, self._heads + law.size :]
+        own = self.white[: self.count, : self._heads]
+        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
+        self._a = np.einsum("ij,ij->j", rows, rows)
+        self._b = np.einsum("ij,ij->j", own, rows)
+        diagonal = grid.lower.diagonal()
+        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(diagonal).sum()
+        self._first = self._now = self._weighed()
+        # Rates of the lead, its changes, and the nodes.
+        drive = linear.drive
+        self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
+        rises = np.diff(self._driven, axis=0, prepend=0.0)
+        self._driven = self._driven[-1]
+        elapsed = np.diff(self._press.times, prepend=self._press.times[0])
+        y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
+        since = self._press.times[-1] - self._press.times
+        self._left = (np.exp(-np.multiply.outer(RATES, since)) * -np.expm1(-y) / y) @ rises
+        k = 1 + law.size
+        self._weights = np.hstack(
+            [np.repeat(linear.weights[:, :1], k, axis=1), linear.weights[:, 1 + linear.which]]
+        )
+        self._stresses = linear.stresses[-2:].tolist()
+        self._middles = self._press.middles[-2:].tolist()
+        self._loading, self._clocks = grid.covariance.loading, grid.covariance.clocks
+
+    def _begin_rows(self) -> None:
+        grid = self.grid
+        self.count, width = grid.white.shape
+        size = self.count + _ROOM
+        self.lower = np.zeros((size, size), order="F")
+        self.lower[: self.count, : self.count] = grid.lower
+        self.white = np.zeros((size, width))
+        self.white[: self.count] = grid.white
+        self.columns = np.zeros((size, grid.law.size))
+        self.columns[: self.count] = grid.linear.columns
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no room for another cell."""
+        return self.count >= len(self.lower)
+
+    @property
+    def stiffness(self) -> Stiffness:
+        """Ln G, its variance and the log evidence of all nodes, mixed over the scales.
+
+        These are weighed at a laying; between two the likelihood under the leading ones counts.
+        """
+        mixed, first, now = self.grid.stiffness, self._first, self._now
+        return Stiffness(
+            mixed.log_g + now.log_g - first.log_g,
+            mixed.variance * now.variance / first.variance,
+            mixed.log + now.log - first.log,
+        )
+
+    @property
+    def weights(self) -> Array:
+        """Of the nodes, (M,)."""
+        grid = self.grid
+        return np.asarray(np.exp(cut(grid.law, grid.nodes, self.stiffness.log + grid.log_prior)))
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the record by now, at the leading scales."""
+        return float(log_sum(self._now.log + self.grid.log_prior))
+
+    def _weighed(self) -> Stiffness:
+        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
+        return found._replace(log=found.log - self._rest)
+
+    @property
+    def points(self) -> int:
+        """Points of the press by now."""
+        return self._press.times.size
+
+    @property
+    def sums(self) -> tuple[Array, Array]:
+        """The sums a and b of all nodes, (M,) each."""
+        return self._a, self._b
+
+    def stress_ahead(self, times: Array) -> Array:
+        """Return the stress that bends the tool at times ahead: as the model has come to."""
+        middles = self._middles
+        slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
+        return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
+
+    def append(self, press: Press) -> Innovation | None:
+        """Take the press with one block more; None: it was not observed, or there is no room."""
+        points = self._press.times.size
+        tail = press.behind(points, self._press.middles.size)
+        row = self._row(tail)
+        self._press = press
+        if row is None or self.is_full:
+            return None
+        n, k = self.count, self._heads + self.grid.law.size
+        x, weights = self._prior @ row.column, self.weights
+        lower = self.lower[:n, :n]
+        across = self.columns[:n] @ x + self._walked(row.clocks)
+        own = solved(lower, across[:, None])[:, 0]
+        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
+        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
+        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
+        shift[0] += float(tail.stresses[0])
+        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
+        self.columns[n], self.count = row.column, n + 1
+        self._clocks = self._clocks.added(row.clocks)
+        self._stresses = [self._stresses[-1], row.stress]
+        self._middles = [self._middles[-1], float(tail.middles[0])]
+        seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+        found = self._innovation(float(tail.stresses[0]), root, seen, white[k:], weights)
+        self._a = self._a + white[k:] ** 2
+        self._b = self._b + seen * white[k:]
+        self._rest = self._rest + 0.5 * seen**2 + math.log(root)
+        self._now = self._weighed()
+        return found
+
+    def _innovation(
+        self, stress: float, root: float, seen: Array, rows: Array, weights: Array
+    ) -> Innovation:
+        stiffness = self.stiffness
+        by_g = rows * np.exp(stiffness.log_g)
+        each = root * (seen - by_g)
+        mean = float(weights @ each)
+        spread = root**2 * (1.0 + by_g**2 * stiffness.variance) + (each - mean) ** 2
+        return Innovation(stress - mean, mean, float(weights @ spread))
+
+    def _row(self, tail: Press) -> _Row | None:
+        """Take the points of a block; return the row of its cell, None where it has none."""
+        grid, law = self.grid, self.grid.law
+        times = tail.times
+        about = replace(grid.about, stresses=self.stress_ahead(times))
+        drive = law.drive(tail, slice(None), grid.nodes, about, grid.linear.free)
+        driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
+        total, by_rate = np.zeros(driven.shape[1]), np.zeros(RATES.size + 2)
+        points = [] if not tail.middles.size else [int(tail.first[0]), int(tail.last[0])]
+        before = float(self._press.times[-1])
+        for k, own in enumerate(driven):
+            seconds = max(float(times[k]) - before, 1e-9)
+            rise, before = own - self._driven, float(times[k])
+            rate = RATES * seconds
+            gain = -np.expm1(-np.maximum(rate, 1e-12)) / np.maximum(rate, 1e-12)
+            self._left = np.exp(-rate)[:, None] * self._left + np.outer(gain, rise)
+            self._driven = own
+            part = 0.5 * points.count(k)
+            if part:
+                rates = np.vstack([self._left, own, rise / seconds])
+                total += part * np.einsum("rc,rc->c", self._weights, rates)
+                by_rate += part * self._weights[:, 0] * rates[:, 0]
+        if not points:
+            return None
+        k = 1 + law.size
+        column = total[1:k]
+        if law.has_kernel_error:
+            column[KERNEL] = by_rate @ KERNEL_HATS
+        number = len(law.place.presses) - 1
+        law.add_stress_columns(tail, number, column[None])
+        load, gain, steepest = of_cells(tail, drive)
+        clocks = self._clocks_after(tail, float(total[0]), load, gain)
+        noise = grid.covariance.noise_of(
+            tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
+        )
+        return _Row(float(total[0]), column, total[k:], clocks, float(noise[0]))
+
+    def _clocks_after(self, tail: Press, stress: float, load: Array, gain: Array) -> Clocks:
+        """Return how far the walks have gone at a new cell."""
+        covariance = self.grid.covariance
+        seconds = float(tail.middles[0]) - self._middles[-1]
+        self._loading, turned = self._loading.after(float(load[0]) + covariance.floor, seconds)
+        number = len(self.grid.law.place.presses) - 1
+        force, surface = covariance.walked(tail)
+        rough = self._clocks.roughness[-1:] + stress**2 * turned
+        return Clocks(np.array([number]), rough, force, surface, gain * covariance.surface_factor)
+
+    def _walked(self, new: Clocks) -> Array:
+        """Return the covariance of the walks at all cells with those at a new one."""
+        old, scales = self._clocks, self.scales
+        same = old.press == new.press
+        found = same * (scales.roughness**2 * old.roughness + old.force)
+        return np.asarray(found + scales.motion**2 * new.gain * old.gain * old.surface)
+
+    def _walked_to(self, new: Clocks) -> float:
+        found = self.scales.roughness**2 * new.roughness + new.force
+        return float((found + self.scales.motion**2 * new.gain**2 * new.surface)[0])

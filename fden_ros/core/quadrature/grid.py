@@ -1,0 +1,581 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The weighted nodes: quadrature over what is nonlinear, Gaussian algebra for the rest.
+
+.. math::
+    y = G\,r(\theta) + X z + w + v, \qquad \ln p(y \mid \theta, G) = b\,G - \tfrac12 a\,G^2 + c,
+    \qquad a = r^T S^{-1} r,\; b = r^T S^{-1} y
+
+theta are the relaxation's coordinates, ln Gn and the contact point. G is integrated in one
+dimension. The nodes are a product grid in z of theta = m + L z, with mean m and covariance L L^T
+of the grid before: a nested approximation (Rue, Martino and Chopin, J. R. Stat. Soc. B 71, 2009)
+on a point-mass grid (Bucy and Senne, Automatica 7, 1971).
+
+The columns X are taken about one node. Each node is linear about its own conditional mode: that of
+the round before, kept as a line in theta (:class:`~.law.Expansion`). With one mode for all nodes
+the rounds swing, and end 5 to 8 logarithmic units low.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.quadrature.covariance import Covariance, Noise, Scales, near, scales_of
+from fden_ros.core.quadrature.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
+from fden_ros.core.quadrature.law import Expansion, Law, Linear
+
+#: A grid reaches as many standard deviations [1].
+REACH = 3.0
+#: Effective number of nodes that a grid has, for each coordinate [1]: below it is too coarse.
+_LEAST_EFFECTIVE = 1.9
+#: A scale replaces the leading one where the log evidence gains this [1].
+_LEAST_GAIN = 0.5
+#: A grid is settled where its log evidence has changed by less than this [1].
+_SETTLED_GAIN = 0.5
+#: Nodes at which scales are weighed.
+_FEW = 6
+#: A change of the law's errors that is taken as it is [1].
+_SMALL_STEP = 0.02
+#: Rounds after which steps are damped [1].
+_DAMPED_FROM = 5
+#: Scales and nodes less likely than the best by this logarithm do not count [1].
+_NEGLIGIBLE_SCALE, _NEGLIGIBLE_NODE = 4.0, 8.0
+
+
+class Box(NamedTuple):
+    """Where a grid lies: theta = mean + lower z."""
+
+    mean: Array
+    lower: Array
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of theta."""
+        return np.asarray(np.linalg.norm(self.lower, axis=1))
+
+
+class Start(NamedTuple):
+    """From what a grid is laid."""
+
+    about: Expansion
+    box: Box
+    scales: Scales
+    log_evidence: float = -math.inf  #: of the round before
+    is_continued: bool = False  #: that round was settled, of a shorter record
+    rounds: int = 0  #: since the last that was settled
+
+
+class Stiffness(NamedTuple):
+    """G integrated out at each node."""
+
+    log_g: Array  #: mode of ln G
+    variance: Array  #: of ln G
+    log: Array  #: log evidence, without that of y alone
+
+
+def of_stiffness(a: Array, b: Array, mean: float, sd: float) -> Stiffness:
+    """Return ln G and the log evidence of b G - a G^2 / 2 with a Gaussian prior of ln G.
+
+    Newton's steps in one dimension, at all nodes; the prior's mean and standard deviation are of
+    ln G.
+    """
+    a = np.maximum(a, 1e-300)
+    g = np.log(np.maximum(b, 1e-3 * np.sqrt(a)) / a)
+    for _ in range(30):
+        e = np.exp(g)
+        curve = np.maximum(2.0 * a * e**2 - b * e, 0.5 * a * e**2) + 1.0 / sd**2
+        step = np.clip((b * e - a * e**2 - (g - mean) / sd**2) / curve, -1.0, 1.0)
+        g = g + step
+        if np.max(np.abs(step)) < 1e-6:
+            break
+    e = np.exp(g)
+    curve = np.maximum(2.0 * a * e**2 - b * e, 0.1 * a * e**2) + 1.0 / sd**2
+    log = b * e - 0.5 * a * e**2 - 0.5 * ((g - mean) / sd) ** 2 - 0.5 * np.log(curve * sd**2)
+    return Stiffness(g, 1.0 / curve, log)
+
+
+def log_sum(logs: Array, axis: int | None = None) -> Array:
+    """Return the logarithm of a sum of exponentials."""
+    most = logs.max(axis=axis, keepdims=True)
+    found = np.log(np.exp(logs - most).sum(axis=axis, keepdims=True)) + most
+    return np.asarray(found.reshape(()) if axis is None else np.squeeze(found, axis))
+
+
+def solved(lower: Array, right: Array, trans: int = 0) -> Array:
+    """Return L^-1 b, or L^-T b."""
+    return np.asarray(lapack.dtrtrs(lower, right, lower=1, trans=trans)[0])
+
+
+def cholesky(matrix: Array) -> Array:
+    """Return the lower Cholesky factor."""
+    lower, info = lapack.dpotrf(matrix, lower=1, clean=1)
+    if info:
+        raise np.linalg.LinAlgError("the covariance is not positive definite")
+    return np.asarray(lower)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """What nodes are weighed by: y as at the leading node and by theta, and their responses."""
+
+    y: Array  #: (N, 1 + d)
+    off: Array  #: theta of the nodes less that of the leading one, (M, d)
+    responses: Array  #: for G = 1, (N, M)
+
+    def some(self, nodes: Indices) -> Cells:
+        """Return those of some nodes."""
+        return Cells(self.y, self.off[nodes], self.responses[:, nodes])
+
+    @property
+    def own(self) -> Array:
+        """The y of each node, (N, M)."""
+        return np.asarray(self.y[:, :1] + self.y[:, 1:] @ self.off.T)
+
+
+def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cells) -> Stiffness:
+    r"""Return what nodes are at places of the scales, each of shape (places, M).
+
+    With D of what is not smooth and A the scaled columns of the smooth errors, by Woodbury
+
+    .. math:: u^T S^{-1} v = u^T D^{-1} v - (A^T D^{-1} u)^T M^{-1} (A^T D^{-1} v), \qquad
+              M = 1 + A^T D^{-1} A .
+    """
+    both = np.hstack([*covariance.smooth, cells.own, cells.responses])
+    widths = [part.shape[1] for part in covariance.smooth]
+    k, m = sum(widths), len(cells.off)
+    a, b, rest = np.empty((3, len(places), m))
+    kinds = sorted({(one.roughness, one.motion) for one in places})
+    for kind in kinds:
+        at = [i for i, one in enumerate(places) if (one.roughness, one.motion) == kind]
+        lower = cholesky(covariance.without_smooth(places[at[0]]))
+        white = solved(lower, both)
+        u, y, r = white[:, :k], white[:, k : k + m], white[:, k + m :]
+        sizes = np.array([places[i].smooth for i in at])
+        scale = np.repeat(sizes, widths, axis=1)  # (places, k)
+        inner = scale[:, :, None] * (u.T @ u) * scale[:, None, :] + np.eye(k)
+        root = np.linalg.cholesky(inner)
+        across = np.linalg.solve(root, scale[:, :, None] * (u.T @ white[:, k:]))
+        ay, ar = across[:, :, :m], across[:, :, m:]
+        a[at] = np.einsum("ij,ij->j", r, r) - np.einsum("pij,pij->pj", ar, ar)
+        b[at] = np.einsum("ij,ij->j", y, r) - np.einsum("pij,pij->pj", ay, ar)
+        chi = np.einsum("ij,ij->j", y, y) - np.einsum("pij,pij->pj", ay, ay)
+        logs = np.log(lower.diagonal()).sum() + np.log(np.diagonal(root, 0, 1, 2)).sum(axis=1)
+        rest[at] = 0.5 * chi + logs[:, None]
+    found = of_stiffness(a, b, *prior_of_log_g(law))
+    log_prior = np.array([[one.log_prior] for one in places])
+    return found._replace(log=found.log - rest + log_prior)
+
+
+def prior_of_log_g(law: Law) -> tuple[float, float]:
+    """Return mean and standard deviation of ln G before the data."""
+    prior = law.config.prior
+    return float(prior.mean[0]), prior.linear_stiffness_log_sd
+
+
+def tempered(log: Array, least: float) -> tuple[Array, float]:
+    """Return weights of an effective number of `least` or more, and their inverse temperature."""
+
+    def weights(beta: float) -> Array:
+        found = np.exp(beta * (log - log.max()))
+        return np.asarray(found / found.sum())
+
+    low, high = 0.0, 1.0
+    if 1.0 / np.sum(weights(1.0) ** 2) >= least:
+        return weights(1.0), 1.0
+    for _ in range(20):
+        beta = 0.5 * (low + high)
+        low, high = (beta, high) if 1.0 / np.sum(weights(beta) ** 2) >= least else (low, beta)
+    return weights(low), low
+
+
+def product(box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
+    """Return the nodes of a product grid within a ball, and the log volume of a cell."""
+    axes, log_volume = [], 0.0
+    for k, count in enumerate(counts):
+        axes.append(np.linspace(-reach, reach, count) if count > 1 else np.zeros(1))
+        if count > 1:
+            log_volume += math.log((axes[-1][1] - axes[-1][0]) * box.lower[k, k])
+    z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
+    z = z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2]
+    return box.mean + z @ box.lower.T, log_volume
+
+
+@dataclass(eq=False)
+class Grid:
+    """Nodes laid in a box, and their weights.
+
+    Attributes
+    ----------
+    lower : ndarray, shape (N, N)
+        Cholesky factor of S at the leading scales.
+    white : ndarray, shape (N, 1 + d + k + M)
+        y, X P and the responses, whitened by it.
+    stiffness : Stiffness
+        Of all nodes, mixed over the scales.
+    log_prior : ndarray, shape (M,)
+        Of theta, with the volume of a cell.
+    is_settled : bool
+        The grid resolves the posterior, and another round would change nothing.
+    """
+
+    law: Law
+    noise: Noise
+    start: Start
+    linear: Linear
+    covariance: Covariance
+    nodes: Array
+    cells: Cells
+    log_prior: Array
+    lower: Array
+    white: Array
+    stiffness: Stiffness
+    scales: list[tuple[Scales, float]]
+    is_settled: bool
+    after: Start
+
+    @property
+    def about(self) -> Expansion:
+        """What the columns are taken about."""
+        return self.start.about
+
+    @property
+    def weights(self) -> Array:
+        """Of the nodes, (M,)."""
+        log = self.stiffness.log + self.log_prior
+        return np.asarray(np.exp(cut(self.law, self.nodes, log)))
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the record, with the prior of the scales normalised."""
+        own = log_sum(self.stiffness.log + self.log_prior)
+        places = scales_of(self.law.config.uncertainty)
+        return float(own - log_sum(np.array([one.log_prior for one in places])))
+
+
+def cut(law: Law, nodes: Array, log: Array) -> Array:
+    """Return normalised log weights: those of an alpha that is given are its prior's."""
+    if not law.has_kernel_error or not law.config.is_order_given:
+        return np.asarray(log - log_sum(log))
+    orders, which = np.unique(nodes[:, 0].round(12), return_inverse=True)
+    mean, sd = law.coordinates[0][0], max(float(law.coordinates[1][0]), 1e-9)
+    prior = -0.5 * ((orders - mean) / sd) ** 2
+    prior -= log_sum(prior)
+    totals = np.array([log_sum(log[which == k]) for k in range(orders.size)])
+    return np.asarray(log - totals[which] + prior[which])
+
+
+def open_of(law: Law) -> Array:
+    """Return which coordinates of a node are not known."""
+    return np.asarray(law.coordinates[1] > 0.0)
+
+
+def log_prior_of(law: Law, nodes: Array) -> Array:
+    """Return the log density of theta."""
+    (mean, sds), is_open = law.coordinates, open_of(law)
+    z = (nodes - mean)[:, is_open] / sds[is_open]
+    size = np.log(sds[is_open]).sum() + 0.5 * is_open.sum() * math.log(2.0 * math.pi)
+    return np.asarray(-0.5 * np.einsum("ij,ij->i", z, z) - size)
+
+
+def _nodes(law: Law, box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
+    own = [c if o else 1 for c, o in zip(counts, open_of(law), strict=True)]
+    nodes, log_volume = product(box, own, reach)
+    return nodes[law.inside(nodes)], log_volume
+
+
+def begun(law: Law, noise: Noise) -> Start:
+    """Return where to begin: about the best of a broad grid, under a rough error of the stress."""
+    mean, sds = law.coordinates
+    d, stresses = mean.size, law.place.joined("stresses")
+    n = sum(press.times.size for press in law.place.presses)
+    zero = np.zeros((law.size, d))
+    about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n))
+    nodes, _ = _nodes(law, Box(mean, np.diag(sds)), law.broad, 2.4)
+    rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
+    white = law.responses(nodes, about)[0] / rough[:, None]
+    y = stresses / rough
+    found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
+    log = found.log + log_prior_of(law, nodes)
+    best = int(np.argmax(log))
+    weights, _ = tempered(log, _LEAST_EFFECTIVE ** open_of(law).sum())
+    box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
+    middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
+    scales = min(
+        scales_of(law.config.uncertainty),
+        key=lambda one: float(np.abs(np.log((np.array(one.sizes) + 1e-4) / middle)).sum()),
+    )
+    about = replace(about, theta=nodes[best], log_g=float(found.log_g[best]))
+    return Start(law.stressed(about), box, scales)
+
+
+def continued(law: Law, grid: Grid, mean: Array, covariance: Array, log_evidence: float) -> Start:
+    """Return where to go on: from a grid of a shorter record.
+
+    `mean`, `covariance`: of theta by now; `log_evidence`: by now, at the leading scales.
+    """
+    about, d = grid.after.about, mean.size
+    state, by_theta = about.state, about.by_theta
+    more = law.size - state.size
+    state, by_theta = np.pad(state, (0, more)), np.pad(by_theta, ((0, more), (0, 0)))
+    if law.last_knot != grid.law.last_knot:
+        at = splines(spline_places(law.last_knot), grid.law.last_knot)
+        state, by_theta = state.copy(), by_theta.copy()
+        state[CURVE], by_theta[CURVE] = at @ state[CURVE], at @ by_theta[CURVE]
+    # The line goes through the new mean.
+    state = state + by_theta @ (mean - about.theta)
+    n = sum(press.times.size for press in law.place.presses)
+    log_g = float(grid.weights @ grid.stiffness.log_g)
+    about = Expansion(mean, log_g, state, by_theta, np.zeros(n))
+    own = covariance + np.diag((0.02 * grid.start.box.deviations) ** 2)
+    lower, both = np.zeros((d, d)), np.ix_(open_of(law), open_of(law))
+    lower[both] = np.linalg.cholesky(own[both])
+    if not grid.is_settled:
+        # The round that is under way goes on, with what is new.
+        own_box, rounds = grid.after.box, grid.after.rounds
+    else:
+        own_box, rounds = Box(mean, lower), 0
+    return Start(
+        law.stressed(about), own_box, grid.after.scales, log_evidence, grid.is_settled, rounds
+    )
+
+
+class _Weighed(NamedTuple):
+    """Nodes weighed at the leading scales."""
+
+    linear: Linear
+    covariance: Covariance
+    nodes: Array
+    cells: Cells
+    log_prior: Array
+    lower: Array
+    white: Array  #: y, X P and responses
+    residual: Array  #: y of each node less its response, whitened, (N, M)
+    log_g: Array
+    log: Array  #: log evidence with the prior
+
+
+def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
+    about = start.about
+    nodes, log_volume = _nodes(law, start.box, law.counts, REACH)
+    log_prior = log_prior_of(law, nodes) + log_volume
+    responses, linear = law.responses(nodes, about)
+    covariance = Covariance(law, about, linear, noise)
+    y = covariance.shifts()
+    y[:, 0] += law.place.joined("stresses")
+    cells = Cells(y, nodes - about.theta, responses)
+    lower, white = whitened(law, covariance, start.scales, cells)
+    rows = white[:, y.shape[1] + law.size :]
+    own = white[:, :1] + white[:, 1 : y.shape[1]] @ cells.off.T
+    a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", own, rows)
+    found = of_stiffness(a, b, *prior_of_log_g(law))
+    rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
+    log = found.log - rest + log_prior
+    log = cut(law, nodes, log) + log_sum(log)
+    residual = own - rows * np.exp(found.log_g)
+    return _Weighed(
+        linear, covariance, nodes, cells, log_prior, lower, white, residual, found.log_g, log
+    )
+
+
+def laid(law: Law, noise: Noise, start: Start) -> Grid:
+    """Lay a grid: one round."""
+    own = _weighed(law, noise, start)
+    linear, covariance, nodes, cells, log_prior, lower, white, _, _, log = own
+    weights, beta = tempered(log, _LEAST_EFFECTIVE ** open_of(law).sum())
+    is_coarse = beta < 1.0
+    box = _around(law, own, start) if is_coarse else _moments(law, nodes, weights, start.box)
+    if start.rounds >= _DAMPED_FROM:
+        box = _between(start.box, box)
+    likely, scales = _likely_scales(law, own, start)
+    total = float(log_sum(log))
+    is_near = abs(total - start.log_evidence) < _SETTLED_GAIN or start.is_continued
+    settled = (
+        not is_coarse and scales == start.scales and is_near and _is_near(law, start.box, box)
+    )
+    about = _relinearised(law, own, start, weights)
+    mixed, mixture = _mixed(law, covariance, likely, cells, log_prior)
+    after = Start(about, box, scales, total, rounds=start.rounds + 1)
+    return Grid(
+        law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, mixed,
+        mixture, settled, after,
+    )  # fmt: skip
+
+
+def _likely_scales(law: Law, own: _Weighed, start: Start) -> tuple[list[Scales], Scales]:
+    """Return the likely places next to the leading one, and that which leads from now on."""
+    few = np.argsort(-own.log)[:_FEW]
+    places = near(scales_of(law.config.uncertainty), start.scales)
+    logs = table(law, own.covariance, places, own.cells.some(few)).log + own.log_prior[few]
+    sums = log_sum(logs, 1)
+    gain = 4.0 * _LEAST_GAIN if start.rounds >= _DAMPED_FROM else _LEAST_GAIN
+    best = places[int(np.argmax(sums))]
+    leads = best if sums.max() > sums[places.index(start.scales)] + gain else start.scales
+    least = sums.max() - _NEGLIGIBLE_SCALE
+    return [one for one, log in zip(places, sums, strict=True) if log > least], leads
+
+
+def _is_near(law: Law, box: Box, other: Box) -> bool:
+    """Whether a box resolves what another one is laid in."""
+    is_open = open_of(law)
+    sds = other.deviations[is_open]
+    ratio = sds / box.deviations[is_open]
+    moved = np.abs(other.mean - box.mean)[is_open] / sds
+    return bool(np.all(moved < 0.4) and np.all((ratio > 0.7) & (ratio < 1.4)))
+
+
+def whitened(
+    law: Law, covariance: Covariance, scales: Scales, cells: Cells
+) -> tuple[Array, Array]:
+    """Return the Cholesky factor of S, and y, X P and the responses whitened by it."""
+    lower = cholesky(covariance.at(scales))
+    columns = covariance.linear.columns @ covariance.prior(scales)
+    return lower, solved(lower, np.hstack([cells.y, columns, cells.responses]))
+
+
+def _mixed(
+    law: Law, covariance: Covariance, likely: Sequence[Scales], cells: Cells, log_prior: Array
+) -> tuple[Stiffness, list[tuple[Scales, float]]]:
+    """Return the nodes mixed over likely scales, and these with their weights."""
+    found = table(law, covariance, likely, cells)
+    log = log_sum(found.log, axis=0)
+    share = np.exp(found.log - log)
+    log_g = (share * found.log_g).sum(axis=0)
+    variance = (share * (found.variance + found.log_g**2)).sum(axis=0) - log_g**2
+    whole = np.exp(log_sum(found.log + log_prior, axis=1) - log_sum(log + log_prior))
+    mixture = list(zip(likely, whole.tolist(), strict=True))
+    return Stiffness(log_g, np.maximum(variance, 0.0), log), mixture
+
+
+def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
+    """Return the box of nodes."""
+    is_open = open_of(law)
+    mean = weights @ nodes
+    off = nodes - mean
+    own = (off * weights[:, None]).T @ off
+    own += np.diag((0.03 * box.deviations) ** 2)
+    lower, at = np.zeros_like(own), np.ix_(is_open, is_open)
+    # Where much lies at an edge of the box, the next is wider there.
+    z = np.zeros_like(nodes)
+    z[:, is_open] = np.linalg.solve(box.lower[at], (nodes - box.mean)[:, is_open].T).T
+    edge = weights @ (np.abs(z) > 0.8 * REACH) > 0.05
+    own += 4.0 * box.lower[:, edge] @ box.lower[:, edge].T
+    lower[at] = np.linalg.cholesky(own[at])
+    return Box(np.where(is_open, mean, law.coordinates[0]), lower)
+
+
+def _around(law: Law, own: _Weighed, start: Start) -> Box:
+    """Return the box of a Gaussian about the best node: the grid is too coarse for its nodes.
+
+    By a step of Gauss and Newton, at most as far as the nodes are apart.
+    """
+    box, is_open, best = start.box, open_of(law), int(np.argmax(own.log))
+    middle, steps = own.nodes[best].copy(), 0.05 * np.maximum(box.deviations[is_open], 1e-12)
+    moves = np.diag(0.05 * np.maximum(box.deviations, 1e-12))[is_open]
+    responses, _ = law.responses(np.vstack([middle, middle + moves]), start.about)
+    changes = own.cells.y[:, 1:] @ moves.T
+    y = own.cells.some(np.array([best])).own
+    white = solved(own.lower, np.hstack([y, responses, changes]))
+    d = steps.size
+    base, moved, shifts = white[:, 1], white[:, 2 : 2 + d], white[:, 2 + d :]
+    g = max(float(white[:, 0] @ base), 1e-300) / float(base @ base)
+    jacobian = np.column_stack([g * base, (g * (moved - base[:, None]) - shifts) / steps])
+    (mean, sds), at = law.coordinates, np.ix_(is_open, is_open)
+    mean_g, sd_g = prior_of_log_g(law)
+    sds = np.append(sd_g, sds[is_open])
+    off = np.append(math.log(g) - mean_g, (middle - mean)[is_open])
+    found = np.linalg.inv(jacobian.T @ jacobian + np.diag(sds**-2.0))
+    step = (found @ (jacobian.T @ (white[:, 0] - g * base) - off / sds**2))[1:]
+    most = 1.5 * box.deviations[is_open]
+    step /= max(1.0, float(np.max(np.abs(step) / most)))
+    middle[is_open] += step
+    root = np.zeros_like(box.lower)
+    # Wide: the next grid finds what it is.
+    root[at] = np.linalg.cholesky(2.0 * found[1:, 1:] + np.diag((0.02 * most) ** 2))
+    return Box(middle, root)
+
+
+def _between(box: Box, other: Box) -> Box:
+    """Return a box half way: rounds would else swing about a broad posterior."""
+    spread = 0.5 * (box.lower @ box.lower.T + other.lower @ other.lower.T)
+    lower, at = np.zeros_like(spread), np.flatnonzero(spread.diagonal() > 0.0)
+    lower[np.ix_(at, at)] = np.linalg.cholesky(spread[np.ix_(at, at)])
+    return Box(0.5 * (box.mean + other.mean), lower)
+
+
+def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expansion:
+    """Return the expansion about the mean of the nodes, with all conditional modes as lines."""
+    about, heads = start.about, own.cells.y.shape[1]
+    top = np.flatnonzero(weights > 1e-3 * weights.max())
+    told = own.white[:, heads : heads + law.size].T @ own.residual[:, top]
+    nodes, weights = own.nodes[top], weights[top] / weights[top].sum()
+    mean = weights @ nodes
+    off = nodes - mean
+    spread = (off * weights[:, None]).T @ off
+    variances = spread.diagonal().copy()
+    spread += np.diag(np.where(variances > 0.0, 1e-3 * variances, 1.0))
+    inverse, k = np.linalg.inv(spread), law.kernels
+    of_kernel = np.zeros_like(inverse)
+    of_kernel[:k, :k] = np.linalg.inv(spread[:k, :k])  # one kernel for all that share these
+    before = about.at(slice(None), nodes)
+    # What is linear in e^z goes on by the logarithm of a step.
+    step = (told - before)[:RIG]
+    told[:RIG] = before[:RIG] + np.sign(step) * np.log1p(np.abs(step))
+    state = told @ weights
+    cross = ((told - state[:, None]) * weights) @ off
+    by_theta = cross @ inverse
+    by_theta[KERNEL] = cross[KERNEL] @ of_kernel
+    log_g = float(weights @ own.log_g[top])
+    wanted = Expansion(mean, log_g, state, by_theta, about.stresses)
+    return _damped(law, own.covariance, start, wanted)
+
+
+def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -> Expansion:
+    """Return a step of the law's errors, halved until it makes the mean node likelier."""
+    before = start.about.at(slice(None), wanted.theta[None])[:RIG, 0]
+    step = wanted.state[:RIG] - before
+    if np.max(np.abs(step)) < _SMALL_STEP:
+        return law.stressed(wanted)
+    scales = start.scales
+    roots = zip(covariance.roots, scales.smooth, strict=True)
+    inverse = [(places, np.linalg.pinv(size * root)) for (places, root), size in roots if size]
+    lower = cholesky(covariance.without_smooth(scales))
+    moving = [k for k, (one, _) in enumerate(law.slots, RIG) if one.moves]
+    columns = covariance.linear.columns[:, moving]
+    rig = law.place.joined("stresses") + columns @ wanted.state[moving]
+
+    def at(part: float) -> tuple[float, Expansion, Array]:
+        state = np.append(before + part * step, wanted.state[RIG:])
+        tried = replace(wanted, state=state)
+        response = law.response(tried)
+        white = solved(lower, np.column_stack([rig, response]))
+        square, both = float(white[:, 1] @ white[:, 1]), float(white[:, 0] @ white[:, 1])
+        cost = float(white[:, 0] @ white[:, 0]) - max(both, 0.0) ** 2 / max(square, 1e-300)
+        cost += sum(float(np.sum((own @ state[places]) ** 2)) for places, own in inverse)
+        g = max(both, 1e-9 * square, 1e-300) / max(square, 1e-300)
+        return cost, replace(tried, log_g=math.log(g)), g * response
+
+    first = at(0.0)[0]
+    for part in (1.0, 0.5, 0.25, 0.1, 0.03):
+        cost, found, stresses = at(part)
+        if cost < first + 0.1:
+            break
+    return law.stressed_by(found, stresses)
+
+
+def solve(law: Law, noise: Noise, start: Start | None = None, most: int = 12) -> Grid:
+    """Lay grids until one is settled, at most as many times."""
+    start = start or begun(law, noise)
+    for _ in range(most):
+        grid = laid(law, noise, start)
+        if grid.is_settled:
+            break
+        start = grid.after
+    return grid

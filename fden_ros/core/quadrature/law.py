@@ -1,0 +1,452 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The law as the mean of all presses of a place, and by what each unknown changes it.
+
+The stress at G = 1 of press q is
+
+.. math::
+    r_q = M_q\, d\max(\psi_q - F_q, 0), \qquad F_q = E_q\,(w(\alpha)\,m_q), \qquad
+    m_{q+1} = D\,m_q + A_q \max(r_q, 0)
+
+with psi the elastic response of the motion, M_q the relaxation of the press's rises, and m the
+moments of the stress at the rates of the creep, which is what the tissue remembers: F is its free
+surface. All of it is homogeneous in G. Another law is a subclass.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.law import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    MAX_EXPONENT,
+    RATES,
+    SPACING,
+    Geometry,
+)
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, moments_of
+from fden_ros.core.quadrature.discrepancy import (
+    CURVE,
+    KERNEL,
+    KERNEL_HATS,
+    RIG,
+    between_rates,
+    last_knot,
+    splines,
+)
+from fden_ros.core.quadrature.nuisance import Motion, Nuisance, Rig
+
+#: States beyond as many standard deviations count as there [1].
+_MOST = 8.0
+_LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
+
+
+def relaxation(orders: Array) -> Array:
+    """Return the weights of t^-alpha / Gamma(1 - alpha) at the rates, (34, orders)."""
+    a = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
+    slow = RATES[0] ** a / np.expm1(SPACING * a)
+    fast = RATES[-1] ** (a - 1.0) / np.expm1(SPACING * (1.0 - a))
+    parts = np.vstack([np.exp(np.outer(_LOG_RATES[:-2], a)), slow, fast])
+    return np.asarray(SPACING * np.sin(np.pi * a) / np.pi * parts)
+
+
+def creep(orders: Array) -> Array:
+    """Return the weights of t^(alpha - 1) / Gamma(alpha) at the rates of the creep, (33, n)."""
+    a = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
+    slow = RATES[0] ** (1.0 - a) / np.expm1(SPACING * (1.0 - a))
+    parts = np.vstack([np.exp(np.outer(_LOG_RATES[:-2], 1.0 - a)), slow])
+    return np.asarray(SPACING * np.sin(np.pi * a) / np.pi * parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """What columns are taken about: a node, G, and the unknowns z as a line in theta."""
+
+    theta: Array  #: (d,)
+    log_g: float
+    state: Array  #: of the errors at their knots, and of the rig in deviations, (k,)
+    by_theta: Array  #: (k, d)
+    stresses: Array  #: at the points, by the model [Pa], (n,)
+
+    def at(self, places: slice, nodes: Array | None = None) -> Array:
+        """Return some unknowns at nodes, (k, M), or at the node itself, (k,)."""
+        found = self.state[places]
+        if nodes is not None:
+            found = found[:, None] + self.by_theta[places] @ (nodes - self.theta).T
+        return np.clip(found, -_MOST, _MOST)
+
+
+class Drive(NamedTuple):
+    """What drives the relaxation at points of one press, with what an expansion needs."""
+
+    nodes: Array  #: psi less the free surface for G = 1, (n, M)
+    lead: Array  #: of the leading node, times its G, (n,)
+    changes: Array  #: by the unknowns, (n, k)
+    slopes: Array  #: of the stress by the indentation, (n,)
+
+
+class Free(NamedTuple):
+    """The free surface that earlier presses have left, as moments times weights of the creep."""
+
+    end: float  #: when they ended [s]
+    nodes: Array  #: (33, M), for G = 1
+    lead: Array  #: (33,)
+    changes: Array  #: by the unknowns, (33, k)
+
+
+@dataclass(frozen=True, eq=False)
+class _Past:
+    """The moments of the stress of earlier presses, at the rates of the creep.
+
+    Of the nodes for G = 1, of the leading one, and by what the unknowns change that.
+    """
+
+    end: float  #: [s]
+    nodes: Array  #: (33, M)
+    lead: Array  #: (33,)
+    changes: Array  #: (33, k)
+    is_pressed: bool
+
+    @classmethod
+    def of(cls, law: Law, about: Expansion, size: int) -> _Past:
+        """Return that of the presses that are no part of the record, of which G is the leading."""
+        older = law.place.older
+        nodes = np.outer(older * math.exp(-about.log_g), np.ones(size))
+        changes = np.zeros((older.size, law.size))
+        return cls(law.place.older_end, nodes, older, changes, bool(older.any()))
+
+    def free(self, back: Array, which: Indices) -> Free:
+        """Return the free surface; `back`: weights of the creep, the leading ones first."""
+        own = back[:, 0]
+        changes = own[:, None] * self.changes
+        changes[:, KERNEL] -= (own * self.lead)[:, None] * KERNEL_HATS[:-1]
+        return Free(self.end, back[:, 1 + which] * self.nodes, own * self.lead, changes)
+
+    def after(self, press: Press, nodes: Array, lead: Array, changes: Array) -> _Past:
+        """Return it after a press, of whose cells the stresses are given."""
+        decay, into = np.exp(-CREEP_RATES * (press.end - self.end))[:, None], moments_of(press)
+        return _Past(
+            press.end,
+            decay * self.nodes + into @ np.maximum(nodes, 0.0),
+            decay[:, 0] * self.lead + into @ np.maximum(lead, 0.0),
+            decay * self.changes + into @ ((lead > 0.0)[:, None] * changes),
+            True,
+        )
+
+
+class Linear(NamedTuple):
+    """The cells of a place about one node."""
+
+    stresses: Array  #: by the model [Pa], (N,)
+    columns: Array  #: by what one standard deviation of each unknown changes them, (N, k)
+    loads: Array  #: psi at the cells [Pa s^alpha], (N,)
+    gains: Array  #: stress by indentation at the cells, without relaxation, (N,)
+    steepest: Array  #: the same at the steeper end of a cell, (N,)
+    drive: Drive  #: of the newest press
+    free: Free | None  #: before that; None: no press was before
+    which: Indices  #: the relaxation of each node
+    weights: Array  #: of the relaxations by rate, the expansion's first, (34, 1 + kernels)
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """FDEN: alpha, ln Gn and the contact point are what a node has.
+
+    The first `kernels` coordinates of a node are of the relaxation, the next is of the
+    stress-strain curve, the last is the contact point.
+    """
+
+    config: EstimatorConfig
+    geometry: Geometry
+    place: Place
+    rig: Rig
+    contact_point_sd: float
+    last_knot: float
+
+    kernels: ClassVar = 1
+    #: Nodes along each coordinate, and of the broad grid that begins.
+    counts: ClassVar[tuple[int, ...]] = (7, 9, 7)
+    broad: ClassVar[tuple[int, ...]] = (9, 13, 7)
+    has_kernel_error: ClassVar = True
+
+    @classmethod
+    def of(
+        cls,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        place: Place,
+        rig: Rig,
+        contact_point_sd: float,
+    ) -> Law:
+        """Return the law of a place."""
+        deepest = max(float(p.indentations[p.last].max()) for p in place.presses)
+        strain = geometry.strain(max(deepest + contact_point_sd, 0.0))
+        return cls(config, geometry, place, rig, contact_point_sd, last_knot(strain))
+
+    # What another law has otherwise
+
+    @functools.cached_property
+    def slots(self) -> list[tuple[Nuisance, int | None]]:
+        """The rig's places in a state: nuisances, and the press of which one is; None: of all."""
+        shared = [(one, None) for one in self.rig.nuisances if not one.is_per_press]
+        own = [one for one in self.rig.nuisances if one.is_per_press]
+        return shared + [(one, q) for q in range(len(self.place.presses)) for one in own]
+
+    @property
+    def size(self) -> int:
+        """Unknowns in a state."""
+        return RIG + len(self.slots)
+
+    @property
+    def coordinates(self) -> tuple[Array, Array]:
+        """The prior's means and standard deviations of a node."""
+        p = self.config.prior
+        pairs = (
+            (p.fractional_order, p.fractional_order_sd),
+            (p.mean[1], p.nonlinear_stiffness_log_sd),
+            (0.0, self.contact_point_sd),
+        )
+        mean, sds = np.array(pairs).T
+        return mean, sds
+
+    def inside(self, nodes: Array) -> Array:
+        """Return whether there are such nodes."""
+        return np.asarray((nodes[:, 0] >= LOWEST_ORDER) & (nodes[:, 0] <= HIGHEST_ORDER))
+
+    def weights(self, nodes: Array) -> Array:
+        """Return the relaxation of nodes by its rates, (34, M)."""
+        return relaxation(nodes[:, 0])
+
+    def creep(self, nodes: Array) -> Array:
+        """Return the creep of nodes by its rates, (33, M)."""
+        return creep(nodes[:, 0])
+
+    def relaxed(self, node: Array, times: Array) -> Array:
+        """Return what is left of a unit step after times [s]."""
+        order = float(np.clip(node[0], LOWEST_ORDER, HIGHEST_ORDER))
+        return np.asarray(times**-order / math.gamma(1.0 - order))
+
+    # The elastic response
+
+    def shape(self, strain: Array, log_gn: Array | float) -> Array:
+        """Return phi for G = 1."""
+        gn = np.exp(log_gn)
+        excess = gn * np.abs(strain) - 1.0
+        found = np.exp(np.clip(excess, 0.0, MAX_EXPONENT))
+        found += np.minimum(excess, 0.0)
+        found /= gn
+        return found if self.geometry.is_one_sided else np.copysign(found, strain)
+
+    def slope(self, strain: Array, log_gn: Array | float) -> Array:
+        """Return its derivative by the strain."""
+        excess = np.exp(log_gn) * np.abs(strain) - 1.0
+        found = np.exp(np.clip(excess, 0.0, MAX_EXPONENT))
+        return np.where(strain > 0.0, found, 0.0) if self.geometry.is_one_sided else found
+
+    def strain(self, indentation: Array) -> tuple[Array, Array]:
+        """Return strains and their derivatives by the indentation from the contact point."""
+        if not self.geometry.is_one_sided:
+            return indentation, np.ones_like(indentation)
+        u = np.maximum(indentation, 0.0)
+        if self.geometry.exponent == 1.0:
+            return u, np.ones_like(u)
+        found = self.geometry.strains(u)
+        return found.values, found.slopes
+
+    def indentations(self, press: Press, at: slice, nodes: Array, about: Expansion) -> Array:
+        """Return the indentations of points from the contact point, at nodes, (n, M)."""
+        moved: Array = press.indentations[:, None] - nodes[:, -1]
+        for k, column in self.moves(press, about.stresses[at]):
+            moved = moved + np.outer(column, about.at(slice(k, k + 1), nodes)[0])
+        return moved
+
+    def moves(self, press: Press, stresses: Array) -> list[tuple[int, Array]]:
+        """Return the places in a state of what moves points, and their columns."""
+        motion = Motion(press.times - press.start, press.indentations, press.speeds, stresses)
+        return [(k, one.column(motion)) for k, (one, _) in enumerate(self.slots, RIG) if one.moves]
+
+    def drive(
+        self, press: Press, at: slice, nodes: Array, about: Expansion, free: Free | None
+    ) -> Drive:
+        """Return what drives points of a press; `at`: their places in the expansion's stresses."""
+        both = np.vstack([about.theta, nodes])
+        strain, by_u = self.strain(self.indentations(press, at, both, about))
+        basis = splines(strain[:, 0], self.last_knot)
+        bend = about.at(CURVE, both)
+        psi = self.shape(strain, both[:, self.kernels])
+        if bend.any():
+            psi *= np.exp(basis @ bend)
+        g, own = math.exp(about.log_g), bend[:, 0]
+        lead = g * psi[:, 0]
+        tilted = (splines(np.abs(strain[:, 0]) + 1e-4, self.last_knot) - basis) @ own / 1e-4
+        slopes = g * self.slope(strain[:, 0], both[0, self.kernels]) * np.exp(basis @ own)
+        slopes = (slopes + np.abs(lead) * tilted) * by_u[:, 0]
+        changes = np.zeros((press.times.size, about.state.size))
+        changes[:, CURVE] = lead[:, None] * basis
+        for k, column in self.moves(press, about.stresses[at]):
+            changes[:, k] = slopes * column
+        if free is None:
+            return Drive(psi[:, 1:], lead, changes, slopes)
+        out = np.exp(-np.multiply.outer(np.maximum(press.times - free.end, 0.0), CREEP_RATES))
+        surface = out @ free.lead
+        touches = (lead > surface)[:, None]
+        changes = touches * (changes - out @ free.changes)
+        pushed = np.maximum(psi[:, 1:] - out @ free.nodes, 0.0)
+        return Drive(pushed, np.maximum(lead - surface, 0.0), changes, slopes * touches[:, 0])
+
+    # The stress of the cells
+
+    def kernels_of(self, nodes: Array, about: Expansion) -> tuple[Indices, Array, Array]:
+        """Return the different relaxations of nodes, and of the expansion's node.
+
+        Returns
+        -------
+        which : ndarray, shape (M,)
+        weights, back : ndarray, shape (34, 1 + kernels), (33, 1 + kernels)
+            Of the relaxation and of its inverse; the expansion's own are the first.
+        """
+        keys = nodes[:, : self.kernels].round(12) @ np.array([1.0, 997.0])[: self.kernels]
+        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        some = np.vstack([about.theta, nodes[first]])
+        error = KERNEL_HATS @ about.at(KERNEL, some)
+        return (
+            which.ravel(),
+            self.weights(some) * np.exp(error),
+            self.creep(some) * np.exp(-error[:-1]),
+        )
+
+    def response(self, about: Expansion) -> Array:
+        """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
+        return self._run(about.theta[None], about, has_columns=False)[0][:, 0]
+
+    def responses(self, nodes: Array, about: Expansion) -> tuple[Array, Linear]:
+        """Return the stress of all cells at nodes for G = 1, (N, M), and what is linear."""
+        return self._run(nodes, about, has_columns=True)
+
+    def _run(self, nodes: Array, about: Expansion, *, has_columns: bool) -> tuple[Array, Linear]:
+        """Follow the presses of the place: each meets the free surface of those before."""
+        which, weights, back = self.kernels_of(nodes, about)
+        sizes = [press.middles.size for press in self.place.presses]
+        found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
+        stresses, loads, gains, steepest = np.zeros((4, sum(sizes)))
+        past = _Past.of(self, about, len(nodes))
+        free = None
+        slices = zip(self.place.point_slices, self.place.cell_slices, strict=True)
+        for q, (press, (points, cells)) in enumerate(zip(self.place.presses, slices, strict=True)):
+            if past.is_pressed:
+                free = past.free(back, which)
+            drive = self.drive(press, points, nodes, about, free)
+            kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
+                -1, *press.memory.shape[1:]
+            )
+            rises = np.diff(drive.nodes, axis=0, prepend=0.0)
+            for j, group in enumerate(_groups_of(which)):
+                found[cells, group] = kernels[1 + j] @ rises[:, group]
+            if not has_columns:
+                past = past.after(press, found[cells], stresses[cells], columns[cells])
+                continue
+            rise = np.diff(drive.lead, prepend=0.0)
+            columns[cells] = kernels[0] @ np.diff(drive.changes, axis=0, prepend=0.0)
+            if self.has_kernel_error:
+                columns[cells, KERNEL] += (weights[:, :1] * (press.memory @ rise)).T @ KERNEL_HATS
+            self.add_stress_columns(press, q, columns[cells])
+            stresses[cells] = kernels[0] @ rise
+            loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
+            past = past.after(press, found[cells], stresses[cells], columns[cells])
+        linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights)
+        return found, linear
+
+    def add_stress_columns(self, press: Press, number: int, columns: Array) -> None:
+        """Add what changes the stress of a press directly to the columns of its cells."""
+        motion = mean_motion(press)
+        for k, (one, own) in enumerate(self.slots, RIG):
+            if not one.moves and own in (None, number):
+                columns[:, k] = one.column(motion)
+
+    def stressed(self, about: Expansion) -> Expansion:
+        """Return it with the stress at the points by the model: it bends a compliant tool."""
+        n = sum(press.times.size for press in self.place.presses)
+        about = replace(about, stresses=np.zeros(n)) if about.stresses.size != n else about
+        if not any(one.name == "compliance" for one in self.rig.nuisances):
+            return about
+        return self.stressed_by(about, math.exp(about.log_g) * self.response(about))
+
+    def stressed_by(self, about: Expansion, stresses: Array) -> Expansion:
+        """Return it with the stress at the points that follows from that of the cells [Pa]."""
+        found = []
+        for press, cells in zip(self.place.presses, self.place.cell_slices, strict=True):
+            at = np.append(press.times[0], press.middles)
+            found.append(np.interp(press.times, at, np.append(0.0, stresses[cells])))
+        return replace(about, stresses=np.concatenate(found))
+
+
+def mean_motion(press: Press) -> Motion:
+    """Return the mean motion over the cells of a press."""
+    first, last = press.first, press.last
+    speeds, indentations = (0.5 * (v[first] + v[last]) for v in (press.speeds, press.indentations))
+    return Motion(press.middles - press.start, indentations, speeds, press.stresses)
+
+
+def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:
+    """Return load, stiffness and largest stiffness of cells."""
+    first, last = press.first, press.last
+    load = 0.5 * (np.abs(drive.lead[first]) + np.abs(drive.lead[last]))
+    gain = 0.5 * (drive.slopes[first] + drive.slopes[last])
+    steepest = np.maximum(drive.slopes[first], drive.slopes[last])
+    return load, gain, steepest
+
+
+def _groups_of(which: Indices) -> list[Indices]:
+    order = np.argsort(which, kind="stable")
+    return list(np.split(order, np.cumsum(np.bincount(which))[:-1]))
+
+
+class Plateau(Law):
+    """Another law: the same curve, and the relaxation of a standard linear solid.
+
+    Its coordinates are the logit of the part that stays, ln of the rate, ln Gn and the contact
+    point.
+    """
+
+    kernels: ClassVar = 2
+    counts: ClassVar[tuple[int, ...]] = (5, 5, 7, 5)
+    broad: ClassVar[tuple[int, ...]] = (5, 7, 9, 5)
+    has_kernel_error: ClassVar = False
+
+    @property
+    def coordinates(self) -> tuple[Array, Array]:
+        """The prior's means and standard deviations of a node."""
+        mean, sds = super().coordinates
+        newest = self.place.presses[-1]
+        rate = -math.log(0.3 * float(newest.middles[-1] - newest.times[0]))
+        return np.array([0.0, rate, *mean[1:]]), np.array([1.5, 1.5, *sds[1:]])
+
+    def inside(self, nodes: Array) -> Array:
+        """Return whether there are such nodes."""
+        return np.asarray((nodes[:, 1] > _LOG_RATES[0]) & (nodes[:, 1] < _LOG_RATES[31]))
+
+    def weights(self, nodes: Array) -> Array:
+        """Return a constant, and an exponential between two rates."""
+        part = 1.0 / (1.0 + np.exp(-nodes[:, 0]))
+        found = np.zeros((RATES.size + 2, len(nodes)))
+        found[:-2] = (1.0 - part) * between_rates(nodes[:, 1])
+        found[-2] = part
+        return found
+
+    def creep(self, nodes: Array) -> Array:
+        """Return nothing: it is asked of the first press of a place alone."""
+        return np.zeros((CREEP_RATES.size, len(nodes)))
+
+    def relaxed(self, node: Array, times: Array) -> Array:
+        """Return what is left of a unit step after times [s]."""
+        part = 1.0 / (1.0 + math.exp(-node[0]))
+        return np.asarray(part + (1.0 - part) * np.exp(-math.exp(node[1]) * times))

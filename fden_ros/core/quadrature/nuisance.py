@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is not known of the rig: one object an unknown, with its column, prior and source.
+
+To add one, add its standard deviation to the configuration and an object to :func:`rig_of`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.law import Geometry
+from fden_ros.core.quadrature.discrepancy import STRAIN_FLOOR
+
+#: Speed at which friction has half of its square [m/s]: below is a hold.
+_FRICTION_SPEED = 5e-4
+
+
+class Motion(NamedTuple):
+    """What columns depend on, at points of the motion or in the mean over cells, (k,) each."""
+
+    elapsed: Array  #: since the first point of the press [s]
+    indentations: Array  #: [1]
+    speeds: Array  #: as far as they are above their noise [1/s]
+    stresses: Array  #: by the model [Pa]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One number that is not known; it counts in its standard deviations.
+
+    Attributes
+    ----------
+    sd : float
+        In the unit of the column's cause.
+    column : callable
+        Motion to what one standard deviation changes, (k,): the indentations at the points [1]
+        where `moves`, or the stresses of the cells [Pa].
+    mean : float
+        Of its prior, in standard deviations [1].
+    has_tails : bool
+        Its prior is Student's with three degrees of freedom: rigs are off by more than is stated.
+    is_per_press : bool
+        It is another number in each press.
+    source : str
+        Under which its part of the variance is stated.
+    """
+
+    name: str
+    sd: float
+    column: Callable[[Motion], Array]
+    moves: bool
+    source: str
+    mean: float = 0.0
+    has_tails: bool = False
+    is_per_press: bool = False
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A random walk in time, of the stress [Pa] or of the surface [1] against its stiffness."""
+
+    name: str
+    sd: float  #: of its change in one second
+    start_sd: float  #: at the beginning of a press
+    is_stress: bool
+    source: str
+
+
+class Rig(NamedTuple):
+    """All that is not known of the rig."""
+
+    nuisances: tuple[Nuisance, ...]
+    walks: tuple[Walk, ...]
+
+
+def _compliance(sd: float, motion: Motion) -> Array:
+    return -sd * motion.stresses
+
+
+def _delay(sd: float, motion: Motion) -> Array:
+    return sd * motion.speeds
+
+
+def _friction(sd: float, length: float, motion: Motion) -> Array:
+    speed = length * motion.speeds
+    # In the air there is none, or it is in the bias.
+    pressed = np.maximum(motion.indentations, 0.0) ** 2
+    return sd * pressed / (pressed + STRAIN_FLOOR**2) * speed / np.hypot(speed, _FRICTION_SPEED)
+
+
+def _drift(sd: float, motion: Motion) -> Array:
+    return sd * motion.elapsed
+
+
+def rig_of(config: EstimatorConfig, geometry: Geometry, zero_sd: float, drift_sd: float) -> Rig:
+    """Return what is not known of the rig.
+
+    Parameters
+    ----------
+    zero_sd, drift_sd : float
+        Of the stress's zero at the touch [Pa] and of its drift [Pa/s].
+    """
+    unsure, length, scale = config.uncertainty, geometry.length, geometry.stress_per_force
+    friction = scale * unsure.friction_sd
+    mean = config.friction / unsure.friction_sd if unsure.friction_sd else 0.0
+    compliance = unsure.compliance_sd / length / scale
+    delay = unsure.delay_sd
+    nuisances = (
+        Nuisance("compliance", compliance, partial(_compliance, compliance), True, "compliance",
+                 has_tails=True),
+        Nuisance("delay", delay, partial(_delay, delay), True, "delay", has_tails=True),
+        Nuisance("friction", friction, partial(_friction, friction, length), False, "friction",
+                 mean, has_tails=True),
+        Nuisance("drift", drift_sd, partial(_drift, drift_sd), False, "drift", is_per_press=True),
+    )  # fmt: skip
+    walks = (
+        Walk("force", scale * unsure.force_drift_sd, zero_sd, True, "drift"),
+        Walk("surface", unsure.surface_motion_sd / length, 0.0, False, "motion"),
+    )
+    found = tuple(walk for walk in walks if math.hypot(walk.sd, walk.start_sd) > 0.0)
+    return Rig(tuple(one for one in nuisances if one.sd > 0.0), found)

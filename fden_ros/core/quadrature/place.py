@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""One record of all presses of a place, and when its grid is laid anew.
+
+Each block of the press appends a cell. At most one round is laid a block, of the record by then:
+nothing has to be caught up with. The posterior is at any time that of the newest grid and the
+cells since; nothing is claimed of one that is not settled.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.law import Geometry
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered, moments_of
+from fden_ros.core.quadrature.covariance import Noise
+from fden_ros.core.quadrature.filter import Filter, Innovation
+from fden_ros.core.quadrature.grid import Start, begun, continued, laid
+from fden_ros.core.quadrature.law import Law
+from fden_ros.core.quadrature.nuisance import rig_of
+from fden_ros.core.quadrature.posterior import Posterior
+from fden_ros.core.quadrature.record import LINE_TOLERANCE, Block, Record
+
+#: Blocks and time [s] from the touch that the first grid of a press needs.
+_LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
+#: A grid is laid anew where depth or time have grown by this factor [1].
+_GROWTH = 1.25
+#: Cells of a press while it is open, when it is gathered anew, and of one that has ended [1].
+_GATHERED, _MOST, _ENDED = 40, 72, 40
+#: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
+_PRESSES = 3
+#: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
+#: its deviations are less than this part of the box's [1].
+_MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
+#: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
+_LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: The probe holds below this part of its largest speed [1].
+_SLOW = 0.5
+
+
+class Touch(NamedTuple):
+    """What is known at a touch."""
+
+    bias_sd: float  #: of the stress's zero [Pa]
+    drift_sd: float  #: of its slope [Pa/s]
+    #: Motion before the first sample: times, counted from that [s], indentations [1] and stresses
+    #: [Pa], (3, n).
+    approach: Array
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of a place before the first touch."""
+
+    config: EstimatorConfig
+    geometry: Geometry
+    noise_sd: float  #: of the stress per sample [Pa]
+    contact_point_sd: float  #: [1]; 0: known
+    path_variance: float  #: of the indentation per sample, times the time between samples [s]
+
+
+class PlacePosterior:
+    """The posterior of one place.
+
+    Attributes
+    ----------
+    filter : Filter or None
+        The weighted nodes; None: there are none yet.
+    innovation : Innovation or None
+        Of the newest block.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+        self.filter: Filter | None = None
+        self.innovation: Innovation | None = None
+        self.deepest = -math.inf
+        self.now = 0.0
+        self._noise_sd = 0.0
+        self._ended: list[Press] = []
+        self._older, self._older_end = np.zeros(CREEP_RATES.size), 0.0
+        self._touch: Touch | None = None
+        self._record: Record | None = None
+        self._press: Press | None = None
+        self._blocks = 0
+        self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
+        self._fastest = 0.0
+        self.has_slowed = False
+        self._start: Start | None = None
+
+    @property
+    def presses(self) -> int:
+        """Presses so far, with the present one."""
+        return len(self._ended) + (self._record is not None)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the newest grid resolves the posterior."""
+        return self.filter is not None and self.filter.grid.is_settled
+
+    # A press
+
+    def touch(self, touch: Touch, now: float) -> None:
+        """Begin a press at a time [s]."""
+        setting, geometry = self.setting, self.setting.geometry
+        reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
+        is_at_rest = geometry.is_one_sided and not self._ended
+        self._record = Record(self._noise_sd, reach, is_at_rest=is_at_rest)
+        approach = touch.approach + np.array([[now], [0.0], [0.0]])
+        self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self._noise_sd)
+        self._touch, self._press, self.now = touch, None, now
+        self._began, self._steps, self._blocks = now, 0, 0
+        self._is_pressed = self.has_slowed = False
+        self._fastest = 0.0
+
+    def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
+        """Take a sample."""
+        record, setting = self._record, self.setting
+        assert record is not None
+        if time > self.now:
+            self._steps += 1
+            if setting.path_variance:
+                # By the mean step: the last alone may be short.
+                mean_step = (time - self._began) / self._steps
+                self._noise_sd = math.sqrt(setting.path_variance / mean_step)
+                record.noise_sd = record.noise_sd or self._noise_sd
+        self.now = time
+        self._is_pressed |= on_tissue
+        # Before the first stress the force counts as well: there is none.
+        is_observed = on_tissue or not self._is_pressed
+        for block in record.add(time, indentation, stress, is_observed=is_observed):
+            self._append(block)
+
+    def _append(self, block: Block) -> None:
+        self._blocks += 1
+        if block.is_observed:
+            self.deepest = max(self.deepest, block.indentation)
+            self._see_speed(block.slope)
+        if self._press is not None:
+            self._press = self._press.appended(block, self._noise_sd)
+            if self.filter is not None and not self.filter.is_full:
+                self.innovation = self.filter.append(self._press) or self.innovation
+        if self._is_due(block):
+            self._lay()
+
+    def _see_speed(self, slope: float) -> None:
+        self._fastest = max(self._fastest, slope)
+        self.has_slowed |= abs(slope) < _SLOW * self._fastest
+
+    def _is_due(self, block: Block) -> bool:
+        """Whether a round is to be laid.
+
+        As the record has grown, or the nodes have moved out of the middle of their box; the
+        second and all further rounds of a grid that is not settled after a few blocks.
+        """
+        record, elapsed = self._record, block.middle - self._began
+        assert record is not None
+        if not block.is_observed:
+            return False
+        if self._press is None:
+            return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
+        time, depth, blocks = self._laid_at
+        if self._blocks - blocks < _ROUND_BLOCKS:
+            return False
+        if self.filter is None or self.filter.is_full or not self.filter.grid.is_settled:
+            return True
+        if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
+            return True
+        return self._has_moved()
+
+    def _has_moved(self) -> bool:
+        assert self.filter is not None
+        mean, covariance = self._moments()
+        box = self.filter.grid.start.box
+        sds = np.maximum(box.deviations, 1e-12)
+        own = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        off = np.abs(mean - box.mean) / sds
+        is_open = self.filter.grid.law.coordinates[1] > 0.0
+        return bool(np.any(off > _MOST_OFF) or np.any((own < _LEAST_SPREAD * sds)[is_open]))
+
+    def _moments(self) -> tuple[Array, Array]:
+        assert self.filter is not None
+        weights, nodes = self.filter.weights, self.filter.grid.nodes
+        mean = weights @ nodes
+        off = nodes - mean
+        return mean, (off * weights[:, None]).T @ off
+
+    # Laying
+
+    def _law(self, press: Press | None) -> Law:
+        setting = self.setting
+        assert self._touch is not None
+        presses = tuple(self._ended) + ((press,) if press is not None else ())
+        place = Place(presses, self._older, self._older_end or presses[0].start)
+        rig = rig_of(setting.config, setting.geometry, self._touch.bias_sd, self._touch.drift_sd)
+        return Law.of(setting.config, setting.geometry, place, rig, setting.contact_point_sd)
+
+    def _observed(self) -> list[Block]:
+        """Return the blocks up to the last that was observed."""
+        assert self._record is not None
+        blocks = self._record.blocks
+        last = max((k for k, block in enumerate(blocks) if block.is_observed), default=-1)
+        return blocks[: last + 1]
+
+    def _lay(self, *, most: int = _GATHERED) -> None:
+        """Lay one round of the record by now."""
+        press = self._press
+        if press is None or press.middles.size > _MOST or most != _GATHERED:
+            blocks = self._observed()
+            if len(blocks) < _LEAST_BLOCKS:
+                return
+            press = gathered(blocks, self._noise_sd, most)
+        self._press = press.remembered()
+        law = self._law(self._press)
+        noise = Noise(self.setting.noise_sd, self._noise_sd)
+        if self.filter is None:
+            start = begun(law, noise)
+        else:
+            moments = self._moments()
+            start = continued(law, self.filter.grid, *moments, self.filter.log_evidence)
+        self.filter = Filter(laid(law, noise, start))
+        self._laid_at = self.now - self._began, self.deepest, self._blocks
+
+    def lay_again(self) -> None:
+        """Lay a grid of the presses that have ended."""
+        self._press = self._ended.pop()
+        self._lay()
+        self._ended.append(self._press)
+        self._press = None
+
+    def release(self) -> None:
+        """End the press: rounds until the grid is settled."""
+        if self._record is None:
+            return
+        for block in self._record.close():
+            self._append(block)
+        if self._press is not None:
+            for number in range(_LAST_ROUNDS):
+                self._lay(most=_ENDED if number == 0 else _GATHERED)
+                if self.is_settled:
+                    break
+            self._ended.append(self._press)
+        self._record = self._press = None
+        if len(self._ended) > _PRESSES:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Keep of the oldest press what the tissue remembers."""
+        press = self._ended.pop(0)
+        end = self._older_end or press.start
+        decay = np.exp(-CREEP_RATES * (press.end - end))
+        self._older = decay * self._older + moments_of(press) @ np.maximum(press.stresses, 0.0)
+        self._older_end = press.end
+
+    def posterior(self) -> Posterior | None:
+        """Return the posterior by now; None: there is none."""
+        return Posterior.of(self.filter) if self.filter is not None else None

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the weighted nodes say at one moment: moments, components, parts of the variance."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation import Component
+from fden_ros.core.quadrature.filter import Filter
+from fden_ros.core.quadrature.grid import Grid, Stiffness, cholesky, open_of, solved
+
+#: Nodes less likely than the best by this factor do not count [1].
+_LEAST = 1e-4
+#: Components that a mixture is stated in [1], a power of 2.
+_COMPONENTS = 8
+#: Steps of theta for its derivatives, over its standard deviation [1].
+_STEP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The nodes of a filter at one moment."""
+
+    grid: Grid
+    nodes: Array  #: those that count, (M,)
+    weights: Array  #: they add up to 1, (M,)
+    stiffness: Stiffness  #: of these
+    rows: Array  #: y of these, whitened, less their mean response, (N, M)
+    responses: Array  #: whitened, times G, (N, M)
+    known: Array  #: X P, whitened, (N, k)
+
+    @classmethod
+    def of(cls, state: Filter) -> Posterior:
+        """Return the posterior of a filter by now."""
+        grid, weights, n = state.grid, state.weights, state.count
+        top = np.flatnonzero(weights > _LEAST * weights.max())
+        stiffness = Stiffness(*(values[top] for values in state.stiffness))
+        heads = grid.cells.y.shape[1]
+        k = heads + grid.law.size
+        white = state.white[:n]
+        own = white[:, :1] + white[:, 1:heads] @ grid.cells.off[top].T
+        responses = white[:, k + top] * np.exp(stiffness.log_g)
+        share = weights[top] / weights[top].sum()
+        return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
+                   white[:, heads:k])  # fmt: skip
+
+    @functools.cached_property
+    def moments(self) -> tuple[Array, Array]:
+        """Mean and covariance of (ln G, theta)."""
+        return _moments(self._values, self.weights, self.stiffness.variance)
+
+    @property
+    def _values(self) -> Array:
+        return np.column_stack([self.stiffness.log_g, self.nodes])
+
+    @property
+    def _order(self) -> list[int]:
+        """Places of (ln G, ln Gn, alpha, contact point) in the moments."""
+        k = self.grid.law.kernels
+        return [0, 1 + k, 1, 2 + k]
+
+    @functools.cached_property
+    def tissue(self) -> tuple[Array, Array]:
+        """Mean and covariance of (ln G, ln Gn, alpha, contact point), with the thickness."""
+        mean, covariance = self.moments
+        at = self._order
+        return mean[at], self._with_thickness(covariance[np.ix_(at, at)])
+
+    def _with_thickness(self, covariance: Array) -> Array:
+        found = covariance.copy()
+        found[:2, :2] += self.grid.law.config.uncertainty.thickness_sd**2
+        return found
+
+    @functools.cached_property
+    def components(self) -> tuple[Component, ...]:
+        """At most 8 Gaussians of (ln G, ln Gn, alpha) that reproduce mean and covariance.
+
+        The nodes are halved by weight along the axis in which they are widest.
+        """
+        values = self._values[:, self._order[:3]]
+        groups: list[Indices] = [np.arange(len(values))]
+        unit = np.sqrt(np.maximum(np.diag(self.tissue[1])[:3], 1e-30))
+        while len(groups) < _COMPONENTS:
+            groups = [half for group in groups for half in self._halves(values / unit, group)]
+            if all(group.size < 2 for group in groups):
+                break
+        found = []
+        for group in groups:
+            weight = float(self.weights[group].sum())
+            mean, covariance = _moments(
+                values[group], self.weights[group] / weight, self.stiffness.variance[group]
+            )
+            found.append(Component(weight, mean, self._with_thickness(covariance)))
+        return tuple(found)
+
+    def _halves(self, values: Array, group: Indices) -> list[Indices]:
+        own, weights = values[group], self.weights[group]
+        if group.size < 2:
+            return [group]
+        middle = weights @ own / weights.sum()
+        spread = ((own - middle) * weights[:, None]).T @ (own - middle)
+        place = own @ np.linalg.eigh(spread)[1][:, -1]
+        order = np.argsort(place, kind="stable")
+        reached = np.cumsum(weights[order]) / weights.sum()
+        cut = min(max(int(np.searchsorted(reached, 0.5)) + 1, 1), group.size - 1)
+        return [group[order[:cut]], group[order[cut:]]]
+
+    def probability_beyond(self, deepest: float) -> float:
+        """Return P(largest strain > 1/Gn) [1]; `deepest`: the largest indentation [1]."""
+        law = self.grid.law
+        strain, _ = law.strain(deepest - self.nodes[:, -1])
+        reach = np.log(np.maximum(strain, 1e-12)) + self.nodes[:, law.kernels]
+        # Between the nodes it is smooth over the distance of two.
+        width = self.grid.start.box.lower[law.kernels, law.kernels] / math.sqrt(12.0)
+        return float(self.weights @ ndtr(reach / max(width, 1e-9)))
+
+    @functools.cached_property
+    def states(self) -> Array:
+        """The unknowns z of each node given all data, (k, M)."""
+        return np.asarray(self.known.T @ self.rows)
+
+    @functools.cached_property
+    def rig_conflict(self) -> float:
+        """How far the data say that the rig is from what is stated, in standard deviations [1].
+
+        Over what the data can tell of it, and at least a tenth of that.
+        """
+        law, off = self.grid.law, 0.0
+        first = law.size - len(law.slots)
+        for k, (one, _) in enumerate(law.slots, first):
+            if one.has_tails:
+                told = min(max(float(self.known[:, k] @ self.known[:, k]), 0.01), 1.0)
+                off = max(off, abs(float(self.states[k] @ self.weights)) / math.sqrt(told))
+        return off
+
+    def shares(self) -> dict[str, tuple[float, float]]:
+        """Return the parts of the variances of ln G and ln Gn by source; they add up to these.
+
+        About the mean an estimate is a line in the data: its variance is the sum of what each part
+        of S makes of it, and of the prior.
+        """
+        grid, law = self.grid, self.grid.law
+        scales = grid.start.scales
+        jacobian, is_open = self._jacobian(), np.append(True, open_of(law))
+        lower = cholesky(grid.covariance.at(scales))
+        white = solved(lower, jacobian[:, is_open])
+        sds = np.append(law.config.prior.linear_stiffness_log_sd, law.coordinates[1])[is_open]
+        covariance = np.linalg.inv(white.T @ white + np.diag(sds**-2.0))
+        gain = covariance @ solved(lower, white, trans=1).T
+        at = [0, int(is_open[: 1 + law.kernels].sum())]
+        parts = {
+            name: (gain @ part @ gain.T).diagonal()
+            for name, part in grid.covariance.parts(scales).items()
+        }
+        own = (covariance**2 / sds**2).T
+        parts["surface"] = own[-1] if is_open[-1] else np.zeros(len(own))
+        parts["prior"] = own[: len(own) - bool(is_open[-1])].sum(axis=0)
+        now = np.diag(self.tissue[1])[:2] - law.config.uncertainty.thickness_sd**2
+        factors = now / np.maximum(covariance.diagonal()[at], 1e-30)
+        found = {name: tuple((factors * part[at]).tolist()) for name, part in parts.items()}
+        thickness = law.config.uncertainty.thickness_sd**2
+        return found | {"thickness": (thickness, thickness)}
+
+    def _jacobian(self) -> Array:
+        """Return the derivatives of the cells' stress by (ln G, theta), (N, 1 + d)."""
+        grid, law = self.grid, self.grid.law
+        mean, sds = grid.start.box.mean, grid.start.box.deviations
+        steps = _STEP * np.diag(np.maximum(sds, 1e-9))
+        nodes = np.vstack([mean, mean + steps])
+        responses, _ = law.responses(nodes, grid.about)
+        shift = grid.covariance.shifts()[:, 1:] @ steps
+        g = math.exp(grid.about.log_g)
+        by_theta = (g * (responses[:, 1:] - responses[:, :1]) - shift) / steps.diagonal()
+        return np.column_stack([g * responses[:, 0], by_theta])
+
+
+def _moments(values: Array, weights: Array, variances: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of weighed values, the first of which have variances."""
+    mean = weights @ values
+    off = values - mean
+    covariance = (off * weights[:, None]).T @ off
+    covariance[0, 0] += float(weights @ variances)
+    return mean, covariance

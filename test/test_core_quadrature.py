@@ -1,0 +1,286 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The weighted nodes: Gaussian algebra against brute force, recursion, calibration."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import (
+    NOTHING_UNKNOWN,
+    Estimate,
+    EstimatorConfig,
+    ParameterSet,
+    Uncertainty,
+    moments,
+)
+from fden_ros.core.law import FlatPunch
+from fden_ros.core.quadrature import QuadratureEstimator, Touch
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.quadrature.covariance import Noise, scales_of
+from fden_ros.core.quadrature.filter import Filter
+from fden_ros.core.quadrature.grid import Cells, Grid, of_stiffness, solve, table, whitened
+from fden_ros.core.quadrature.law import Expansion, Law
+from fden_ros.core.quadrature.nuisance import rig_of
+from fden_ros.core.quadrature.record import Block, Record
+from fden_ros.simulation import FdenModel
+from simulation.closed_form import stress_of_piecewise_linear_strain
+
+GEOMETRY = FlatPunch(3.14e-4, 0.02)
+EXACT = replace(NOTHING_UNKNOWN, characteristic_sd=0.2)
+CONTACT_POINT_SD, RATE_HZ, NOISE = 0.01, 500.0, 0.005 * GEOMETRY.stress_per_force
+
+
+class Samples(NamedTuple):
+    """One simulated press: a ramp and a hold, from just before the touch."""
+
+    times: Array
+    indentations: Array
+    stresses: Array
+    truth: Array  #: ln G, ln Gn, alpha
+    clean: Array  #: stress without noise
+
+
+@functools.lru_cache(maxsize=64)
+def pressed(seed: int, hold: float = 1.0) -> Samples:
+    """Simulate a press."""
+    generator = np.random.default_rng(seed)
+    truth = np.array([generator.uniform(6.0, 8.5), math.log(generator.uniform(5.0, 11.0)), 0.0])
+    truth[2] = generator.uniform(0.1, 0.4)
+    speed, depth = generator.uniform(0.2, 0.4), generator.uniform(0.2, 0.3)
+    times = np.arange(0.0, 0.3 + depth / speed + hold, 1.0 / RATE_HZ)
+    strains = np.minimum((times - 0.3) * speed, depth) + generator.uniform(-1.0, 1.0) * 1e-4
+    knots = np.sort(np.append(times, np.interp(0.0, strains, times)))
+    path = np.maximum(np.interp(knots, times, strains), 0.0)
+    model = FdenModel(*np.exp(truth[:2]), float(truth[2]))
+    clean = stress_of_piecewise_linear_strain(knots, path, times, model)
+    stresses = clean + generator.normal(0.0, NOISE, times.size)
+    first = int(np.searchsorted(times, 0.29))
+    begin = times[first]
+    return Samples(times[first:] - begin, strains[first:], stresses[first:], truth, clean[first:])
+
+
+def estimator(uncertainty: Uncertainty = EXACT) -> QuadratureEstimator:
+    """Return an estimator that waits for its first touch."""
+    config = EstimatorConfig(uncertainty=uncertainty)
+    return QuadratureEstimator(config, GEOMETRY, NOISE, CONTACT_POINT_SD)
+
+
+def take(
+    of: QuadratureEstimator, samples: Samples, size: int = 5, stop: int | None = None
+) -> Estimate:
+    """Let an estimator take a press in parts; return its last estimate."""
+    of.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
+    found = of.estimate()
+    for k in range(0, len(samples.times[:stop]), size):
+        at = slice(k, k + size)
+        columns = (samples.times, samples.indentations, samples.stresses)
+        parts = [column[:stop][at].tolist() for column in columns]
+        found = of.add(*parts, [True] * len(parts[0]))
+    return found
+
+
+def blocks_of(samples: Samples) -> list[Block]:
+    """Return the blocks of a press."""
+    record = Record(0.0, 6.0 * CONTACT_POINT_SD, is_at_rest=True)
+    for time, u, stress in zip(*(v.tolist() for v in samples[:3]), strict=True):
+        record.add(time, u, stress, is_observed=True)
+    record.close()
+    return record.blocks
+
+
+def law_of(press: Press, uncertainty: Uncertainty) -> Law:
+    """Return the law of a place with one press."""
+    config = EstimatorConfig(uncertainty=uncertainty)
+    place = Place((press,), np.zeros(CREEP_RATES.size), press.start)
+    rig = rig_of(config, GEOMETRY, 0.3 * NOISE, 0.1 * NOISE)
+    return Law.of(config, GEOMETRY, place, rig, CONTACT_POINT_SD)
+
+
+@functools.lru_cache(maxsize=4)
+def laid_on(seed: int, left_out: int = 0) -> tuple[Grid, list[Block]]:
+    """Return a settled grid of a press on an arm, and the blocks that were left out at its end."""
+    blocks = blocks_of(pressed(seed))
+    count = len(blocks) - left_out
+    law = law_of(gathered(blocks[:count], 0.0, 40), Uncertainty())
+    return solve(law, Noise(NOISE)), blocks[count:]
+
+
+def test_stiffness_is_integrated_as_by_brute_force() -> None:
+    """Its log evidence is that of the integral over ln G, where the data are informative."""
+    a, b = np.array([4e-4, 1e-3]), np.array([0.9, 0.5])
+    found = of_stiffness(a, b, 7.0, 1.5)
+    for k in range(2):
+
+        def density(log_g: float, k: int = k) -> float:
+            g = math.exp(log_g)
+            prior = -0.5 * ((log_g - 7.0) / 1.5) ** 2 - math.log(1.5 * math.sqrt(2.0 * math.pi))
+            return math.exp(b[k] * g - 0.5 * a[k] * g**2 + prior - float(found.log[k]))
+
+        at = float(found.log_g[k])
+        whole = quad(density, at - 3.0, at + 3.0, points=[at])[0]
+        assert whole == pytest.approx(1.0, abs=0.02)
+
+
+def test_nodes_at_all_scales_are_weighed_as_by_the_whole_covariance() -> None:
+    grid, _ = laid_on(1)
+    places = scales_of(grid.law.config.uncertainty)[::7]
+    some = grid.cells.some(np.arange(0, len(grid.nodes), 20))
+    found = table(grid.law, grid.covariance, places, some)
+    for k, place in enumerate(places):
+        covariance = grid.covariance.at(place)
+        inverse = np.linalg.inv(covariance)
+        r, y = some.responses, some.own
+        a, b = np.einsum("im,ij,jm->m", r, inverse, r), np.einsum("im,ij,jm->m", y, inverse, r)
+        rest = 0.5 * np.einsum("im,ij,jm->m", y, inverse, y)
+        rest += 0.5 * np.linalg.slogdet(covariance)[1]
+        own = of_stiffness(a, b, *_prior_of_log_g(grid.law))
+        np.testing.assert_allclose(
+            found.log[k], own.log - rest + place.log_prior, rtol=1e-6, atol=1e-4
+        )
+
+
+def _prior_of_log_g(law: Law) -> tuple[float, float]:
+    prior = law.config.prior
+    return float(prior.mean[0]), prior.linear_stiffness_log_sd
+
+
+def test_sources_add_up_to_the_covariance() -> None:
+    grid, _ = laid_on(1)
+    scales = grid.start.scales
+    whole = sum(grid.covariance.parts(scales).values())
+    np.testing.assert_allclose(whole, grid.covariance.at(scales), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_response_is_that_of_the_closed_form(seed: int) -> None:
+    """Cells of two points have the mean stress of their samples to 5e-4 of the peak."""
+    samples = pressed(seed)
+    blocks = blocks_of(samples._replace(stresses=samples.clean))
+    law = law_of(gathered(blocks, 0.0, 60), NOTHING_UNKNOWN)
+    node = np.array([[samples.truth[2], samples.truth[1], 0.0]])
+    n = law.place.presses[0].times.size
+    zero = np.zeros((law.size, 3))
+    about = Expansion(node[0], samples.truth[0], zero[:, 0], zero, np.zeros(n))
+    found = math.exp(samples.truth[0]) * law.responses(node, about)[0][:, 0]
+    off = found - law.place.presses[0].stresses
+    assert np.max(np.abs(off)) < 1e-3 * samples.clean.max()
+
+
+def test_columns_are_the_derivatives_of_the_response() -> None:
+    """Of the law's errors and of what moves the points, by differences."""
+    grid, _ = laid_on(2)
+    law, about, g = grid.law, grid.about, math.exp(grid.about.log_g)
+    moving = [k for k, (one, _) in enumerate(law.slots, law.size - len(law.slots)) if one.moves]
+    for k in [*range(0, law.size - len(law.slots), 3), *moving]:
+        step = 1e-4 * np.eye(law.size)[k]
+        more = law.response(replace(about, state=about.state + step))
+        less = law.response(replace(about, state=about.state - step))
+        by = g * (more - less) / 2e-4
+        own = grid.linear.columns[:, k]
+        assert np.max(np.abs(by - own)) < 5e-3 * np.max(np.abs(own)) + 1e-6 * g
+
+
+def test_block_by_block_is_the_batch_sum_on_the_same_nodes() -> None:
+    """Factor and sums of 25 appended cells are those of the whole record to 1e-9."""
+    grid, later = laid_on(2, 25)
+    state, press = Filter(grid), grid.law.place.presses[-1]
+    points = []
+    for block in later:
+        ahead = state.stress_ahead
+        press = press.appended(block, 0.0)
+        points.append(ahead(press.times[state.points :]))
+        state.append(press)
+    law = replace(grid.law, place=replace(grid.law.place, presses=(press.remembered(),)))
+    about = replace(grid.about, stresses=np.concatenate([grid.about.stresses, *points]))
+    responses, linear = law.responses(grid.nodes, about)
+    covariance = type(grid.covariance)(law, about, linear, grid.noise)
+    y = covariance.shifts()
+    y[:, 0] += press.stresses
+    lower, white = whitened(
+        law, covariance, grid.start.scales, Cells(y, grid.cells.off, responses)
+    )
+    n = state.count
+    assert n == len(lower) == grid.cells.y.shape[0] + 25
+    np.testing.assert_allclose(state.lower[:n, :n], lower, rtol=0.0, atol=1e-8 * lower.max())
+    rows, own = white[:, y.shape[1] + law.size :], white[:, :1]
+    own = own + white[:, 1 : y.shape[1]] @ grid.cells.off.T
+    a, b = state.sums
+    np.testing.assert_allclose(a, (rows**2).sum(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(b, (rows * own).sum(axis=0), rtol=1e-9)
+
+
+def test_same_samples_in_other_parts_give_the_same_bits() -> None:
+    samples = pressed(3)
+    found = []
+    for size in (1, 5, 37):
+        of = estimator(Uncertainty())
+        take(of, samples, size)
+        found.append(of.release())
+    for other in found[1:]:
+        assert other.mean.tobytes() == found[0].mean.tobytes()
+        assert other.covariance.tobytes() == found[0].covariance.tobytes()
+
+
+def test_another_laying_changes_little() -> None:
+    """A settled grid is laid anew: by less than .05 of a deviation in the mean."""
+    for seed in range(3):
+        of = estimator(Uncertainty())
+        take(of, pressed(seed))
+        before = of.release()
+        of.place.lay_again()
+        after = of.estimate()
+        moved = np.abs(after.mean - before.mean) / before.deviations
+        assert moved.max() < 0.05
+
+
+def test_components_reproduce_mean_and_covariance() -> None:
+    of = estimator()
+    take(of, pressed(4))
+    found = of.release()
+    assert 1 < len(found.components) <= 8
+    mean, covariance = moments(found.components)
+    np.testing.assert_allclose(mean, found.mean, atol=1e-9)
+    np.testing.assert_allclose(covariance, found.covariance, atol=1e-9)
+
+
+def test_what_is_not_settled_is_not_claimed() -> None:
+    of = estimator()
+    take(of, pressed(4))
+    assert of.release().known == ParameterSet.ALL
+    assert of.place.filter is not None
+    of.place.filter.grid.is_settled = False
+    assert of.estimate().known == ParameterSet.NONE
+
+
+def test_errors_are_as_large_as_their_deviations() -> None:
+    """Of 16 presses of the exact law, rms of the error over the deviation .5 to 1.4; none is 4."""
+    off = []
+    for seed in range(16):
+        of = estimator()
+        take(of, pressed(seed, hold=0.5))
+        found = of.release()
+        off.append((found.mean - pressed(seed, hold=0.5).truth) / found.deviations)
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    assert np.all((rms > 0.5) & (rms < 1.4)), rms
+    assert np.max(np.abs(off)) < 4.0
+
+
+def test_shares_add_up_to_the_variance() -> None:
+    of = estimator(Uncertainty())
+    take(of, pressed(5))
+    found = of.release()
+    posterior = of.place.posterior()
+    assert posterior is not None
+    parts = np.array(list(posterior.shares().values()))
+    np.testing.assert_allclose(parts.sum(axis=0), np.diag(found.covariance)[:2], rtol=1e-6)
+    assert np.all(parts >= 0.0)
