@@ -17,7 +17,7 @@ BENCHMARKS: dict[str, str] = {
     "exact": "the law's own tissue: false alarms, undetected errors, honesty, the bound",
     "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
     "real": "prediction of measured holds of beef and silicone",
-    "public": "recordings of others, with the estimators of others and your own",
+    "public": "N/m of recordings of others, next to the estimators of others",
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, hum; errors and contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are reported; false ones",

@@ -10,12 +10,11 @@ the force of a further motion. Kelvin-Voigt, :math:`F = K x + B \dot x`, is line
 
 is linear in the logarithm, :math:`\ln F \approx \ln k + (\lambda/k) \dot x + n \ln x` (A. Haddadi,
 K. Hashtrudi-Zaad, IEEE Trans. Robot. 28 (2012) 813). Both forget with a time constant of 1 s: it
-makes them better. The linear fractional model is :math:`F = K\,D^\alpha x`.
+makes them better.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -27,8 +26,10 @@ from fden_ros.core.arrays import Array
 _LEAST_DEPTH = 1e-5
 #: Bound of the exponential in a prediction.
 _LARGEST_LOG = 50.0
-_ORDERS = np.linspace(0.0, 0.9, 181)
 _FORGETTING_TIME = 1.0
+#: Samples that are used at most [1], the size of a step in parts of the depth [1], and times in
+#: the step of 0.1 s [s].
+_MOST_SAMPLES, _STEP, _AT_STEP = 500, 1e-4, np.array([0.01, 0.05, 0.1])
 
 
 class Samples(NamedTuple):
@@ -44,50 +45,15 @@ class Samples(NamedTuple):
         rates: Array = np.diff(self.depths) / np.diff(self.times)
         return np.append(rates[:1], rates)
 
-    @property
-    def weights(self) -> Array:
-        """What is left of each sample at the last, shape (n,)."""
-        weights: Array = np.exp((self.times - self.times[-1]) / _FORGETTING_TIME)
-        return weights
-
 
 #: From what is seen, and times and depths of what is to come, to its force [N].
 Peer = Callable[[Samples, Samples], Array]
 
 
-def fractional_derivative(time: Array, values: Array, order: float) -> Array:
-    """Return D^order of a series that is 0 up to its first time, by the L1 scheme.
-
-    Parameters
-    ----------
-    time : array, shape (n,)
-        Increasing times [s], any steps.
-    values : array, shape (n,)
-        The series, linear in between; its first value is reached at once.
-    order : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    array, shape (n,)
-        The Caputo derivative of what follows the first value (Oldham and Spanier, The Fractional
-        Calculus, 1974, ch. 8.2).
-    """
-    away = np.maximum(time[:, None] - time, 0.0) ** (1.0 - order)
-    slopes = np.diff(values) / np.diff(time)
-    result: Array = (away[:, :-1] - away[:, 1:]) @ slopes / math.gamma(2.0 - order)
-    return result
-
-
-def last_value(seen: Samples, ahead: Samples) -> Array:
-    """Predict that the force stays as it was last."""
-    return np.full(ahead.times.size, seen.forces[-1])
-
-
 def kelvin_voigt(seen: Samples, ahead: Samples) -> Array:
     """Predict F = K x + B dx/dt."""
     design = np.column_stack([seen.depths, seen.velocities])
-    stiffness, damping = _weighted(design, seen.forces, seen.weights)
+    stiffness, damping = _weighted(design, seen.forces, seen.times)
     result: Array = stiffness * ahead.depths + damping * ahead.velocities
     return result
 
@@ -97,7 +63,7 @@ def hunt_crossley(seen: Samples, ahead: Samples) -> Array:
     used = (seen.depths >= _LEAST_DEPTH) & (seen.forces > 0.0)
     depths, velocities = seen.depths[used], seen.velocities[used]
     design = np.column_stack([np.ones_like(depths), velocities, np.log(depths)])
-    coefficients = _weighted(design, np.log(seen.forces[used]), seen.weights[used])
+    coefficients = _weighted(design, np.log(seen.forces[used]), seen.times[used])
     log_stiffness, damping, exponent = coefficients
     depth = np.log(np.maximum(ahead.depths, _LEAST_DEPTH))
     static = np.exp(np.clip(log_stiffness + exponent * depth, -_LARGEST_LOG, _LARGEST_LOG))
@@ -105,40 +71,27 @@ def hunt_crossley(seen: Samples, ahead: Samples) -> Array:
     return result
 
 
-def _weighted(design: Array, values: Array, weights: Array) -> Array:
-    """Return the coefficients of weighted least squares."""
-    root = np.sqrt(weights)
+def _weighted(design: Array, values: Array, times: Array) -> Array:
+    """Return the coefficients of least squares that forget."""
+    root = np.exp(0.5 * (times - times[-1]) / _FORGETTING_TIME)
     return np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0])
 
 
-def linear_fractional(seen: Samples, ahead: Samples) -> Array:
-    """Predict F = K D^alpha x, by least squares in K at every order of a fine grid."""
-
-    def misfit(order: float) -> tuple[float, float, float]:
-        response = fractional_derivative(seen.times, seen.depths, order)
-        stiffness = float(seen.forces @ response / (response @ response))
-        return float(np.sum((seen.forces - stiffness * response) ** 2)), order, stiffness
-
-    _, order, stiffness = min(misfit(float(order)) for order in _ORDERS)
-    times, depths = np.append(seen.times, ahead.times), np.append(seen.depths, ahead.depths)
-    result: Array = stiffness * fractional_derivative(times, depths, order)[seen.times.size :]
-    return result
-
-
-def relaxation_order(times: Array, forces: Array) -> float:
-    """Return the order of the linear fractional model after a step at time 0: F = K t^-order."""
-
-    def misfit(order: float) -> float:
-        response = times**-order
-        stiffness = forces @ response / (response @ response)
-        return float(np.sum((forces - stiffness * response) ** 2))
-
-    return float(min(_ORDERS, key=misfit))
+def small_step(peer: Peer, seen: Samples) -> float:
+    """Return the N/m that a small step from the last sample would meet."""
+    # Some take the square of the samples.
+    every = slice(None, None, -(-seen.times.size // _MOST_SAMPLES))
+    seen = Samples(*(values[::-1][every][::-1] for values in seen))
+    times, depth = seen.times[-1] + _AT_STEP, float(seen.depths[-1])
+    step = _STEP * depth
+    low, high = (
+        peer(seen, Samples(times, np.full(times.size, at), np.zeros(times.size)))[-1]
+        for at in (depth, depth + step)
+    )
+    return float(high - low) / step
 
 
 PEERS: dict[str, Peer] = {
-    "last value": last_value,
-    "linear fractional": linear_fractional,
     "Kelvin-Voigt": kelvin_voigt,
     "Hunt-Crossley": hunt_crossley,
 }

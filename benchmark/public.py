@@ -1,211 +1,229 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings of others, and what is known of them, beside the estimators of others and your own.
+"""N/m of recordings of others, next to the estimators of others.
 
-docs/accuracy.md says where they come from, which tables they are, and how a program of your own
-answers: the input is a table, and the output.
+docs/accuracy.md says where they come from; :mod:`benchmark.sources` makes the tables. A press
+without a stated stiffness is cut at strains, and its curve's own slope there is the truth.
 
-*Known*: a value was given. *Ratio*: to the truth, median and 5th to 95th percentile. *Rank*: with
-the modulus, over all tests, and in each family, which is the first word of a phantom's name up to
-_. *Repeats*: scatter of the logarithm within a phantom, over the stated deviation. *Error*: of
-N/m in percent of the truth; of a force, root mean square, in percent of the peak; of alpha, as it
-is. *Half width*: two stated deviations, in the same unit. *In 2 sd*: part of the truths within
-two.
+*Given*: a value was given. *Ratio*: to the truth, median and 5th to 95th percentile. *Rank*: with
+the modulus, over all tests and in each family, the first word of a phantom's name up to _.
+*Repeats*: scatter of the logarithm within a phantom, over the stated deviation. *Error* and *half
+width*, two stated deviations: in percent of the truth. *In 2 sd*: part of the truths within two.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import gzip
 import math
-from collections import defaultdict
-from collections.abc import Sequence
-from functools import partial
+from collections import defaultdict, deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from benchmark.estimators import answers_of
-from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured
-from benchmark.questions import (
-    ALPHA,
-    FORCE,
-    STIFFNESS,
-    Answer,
-    Question,
-    read_answers,
-    read_questions,
-    write_questions,
-)
+from benchmark import harness
+from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most
+from benchmark.peers import PEERS, Samples, small_step
 from benchmark.score import mean_of, rms, share
-from fden_ros.commands.command import write_picture
+from benchmark.trial import fed
 from fden_ros.core.arrays import Array
-from fden_ros.report import style
+from fden_ros.core.outputs import ContactSummary, Output, TissueState
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.errors import InputError
+from fden_ros.parameters import check, pipeline_config
+from simulation.simulate import KNOWN_RIG
 
-EPILOG = """\
-examples:
-  fden benchmark public recordings/                        all tests
-  fden benchmark public recordings/ --questions mine/      what a program of your own is asked
-  fden benchmark public recordings/ --answers mine/own.csv beside the others, as "own"
-  fden benchmark public recordings/ --picture errors.png   the errors of all
-"""
+EPILOG = "examples:\n  fden benchmark public recordings/ --strains 0.15\n"
 
+COLUMNS = ("time_s", "force_N", "displacement_mm")
 _QUICK_TESTS = 6
+_HALF_WINDOW = 2.5e-4  #: of a curve's own slope [m]
+#: A stiffness and its standard deviation [N/m]; NaN: not given.
+Answer = tuple[float, float]
 
-Pair = tuple[Question, Answer]
+
+@dataclass(frozen=True)
+class Press:
+    """What an estimator is given, and what is known of the answer."""
+
+    group: str  #: whose figures are one row
+    seen: Samples
+    truth: float  #: [N/m]
+    area: float  #: of the face [m^2]
+    thickness: float  #: [m]
+    phantom: str
+    modulus: float  #: [Pa]; NaN: not known
+    is_over: bool  #: the probe has left: the answer is that of the deepest point
+
+
+def read_presses(
+    folder: Path | None, strains: Sequence[float], most: int | None = None
+) -> list[Press]:
+    """Return the presses of every table in a folder, `most` tests of each."""
+    if folder is None:
+        raise InputError(
+            f"no data: name the folder with the tables, or set {harness.DATA_VARIABLE}"
+        )
+    found: list[Press] = []
+    for path in sorted((*folder.glob("*.csv"), *folder.glob("*.csv.gz"))):
+        truths = path.with_name(path.name.partition(".")[0] + "_truth.csv")
+        if truths.exists():
+            found += _presses_of(path, truths, strains, most)
+    if not found:
+        raise InputError(f"{folder}: no table with a table of its truths, NAME_truth.csv")
+    return found
+
+
+def _presses_of(
+    path: Path, truths: Path, strains: Sequence[float], most: int | None
+) -> Iterator[Press]:
+    rows: dict[str, list[list[float]]] = defaultdict(list)
+    opened = gzip.open if path.suffix == ".gz" else open
+    try:
+        with open(truths, encoding="utf-8", newline="") as file:
+            known = {row["test"]: row for row in csv.DictReader(file)}
+        with opened(path, "rt", encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                rows[row["test"]].append([float(row[name]) for name in COLUMNS])
+        names = sorted(rows.keys() & known.keys())
+        every = max(len(names) // most, 1) if most else 1
+        for name in names[::every][:most]:
+            yield from _press(name, known[name], np.array(rows[name]), strains)
+    except (KeyError, ValueError) as error:
+        words = f"not the columns test, {', '.join(COLUMNS)}, or area_m2, thickness_m in {truths}"
+        raise InputError(f"{path}: {words}: {error}") from None
+
+
+def _press(
+    name: str, truth: Mapping[str, str], table: Array, strains: Sequence[float]
+) -> Iterator[Press]:
+    times, forces, depths = table[:, 0], table[:, 1], 1e-3 * table[:, 2]
+    area, thickness = float(truth["area_m2"]), float(truth["thickness_m"])
+    phantom, modulus = truth.get("phantom") or name, float(truth.get("modulus_Pa") or math.nan)
+    known = (area, thickness, phantom, modulus)
+    if stated := truth.get("stiffness_N_per_m"):
+        group, seen = "N/m where it was deepest", Samples(times, depths, forces)
+        yield Press(group, seen, float(stated), *known, is_over=True)
+        return
+    for strain in strains:
+        depth = strain * thickness
+        if depths.max() >= depth + _HALF_WINDOW:
+            about = np.abs(depths - depth) <= _HALF_WINDOW
+            slope = float(np.polyfit(depths[about], forces[about], 1)[0])
+            stop = int(np.argmax(depths >= depth)) + 1
+            seen = Samples(times[:stop], depths[:stop], forces[:stop])
+            yield Press(f"N/m at a strain of {strain:g}", seen, slope, *known, is_over=False)
+
+
+def answers_of(press: Press) -> dict[str, Answer]:
+    """Return the answer of every estimator."""
+    stop = int(np.argmax(press.seen.depths)) + 1 if press.is_over else None
+    seen = Samples(*(values[:stop] for values in press.seen))
+    return {
+        "FDEN": _fden(press),
+        "force over depth": (float(seen.forces.max() / seen.depths.max()), math.nan),
+        **{name: (small_step(peer, seen), math.nan) for name, peer in PEERS.items()},
+    }
+
+
+def _fden(press: Press) -> Answer:
+    """Return what the pipeline knows last, or in the summary of a press that is over."""
+    parameters = KNOWN_RIG | {
+        "geometry.kind": "flat_punch",
+        "geometry.area": press.area,
+        "geometry.thickness": press.thickness,
+        "force.measure_bias": False,
+        "origin.source": "given",
+        "plausibility.max_force": 1e6,
+    }
+    outputs: list[Output] = []
+    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    times, depths, forces = press.seen
+    deque(fed(pipeline, times, forces, depths - depths[0]), maxlen=0)
+    pipeline.finish()
+    kinds = ContactSummary if press.is_over else (TissueState, ContactSummary)
+    known = [o.apparent_stiffness for o in outputs if isinstance(o, kinds) and o.contact_id]
+    found = known[0 if press.is_over else -1] if known else None
+    return (found.value, found.sd) if found is not None else (math.nan, math.nan)
 
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; return the report."""
     strains = [float(text) for text in args.strains.split(",")]
-    questions = read_questions(args.data, strains, _QUICK_TESTS if args.quick else None)
-    if args.questions is not None:
-        write_questions(args.questions, questions)
-    own = {path.stem: read_answers(path, questions) for path in args.answers}
-    found = measured(answers_of, [(q,) for q in questions], what="recordings")
-    groups: dict[str, dict[str, list[Pair]]] = defaultdict(lambda: defaultdict(list))
-    for number, (question, answers) in enumerate(zip(questions, found, strict=True)):
-        answers |= {name: those[number] for name, those in own.items()}
+    presses = read_presses(args.data, strains, _QUICK_TESTS if args.quick else None)
+    groups: dict[str, dict[str, list[tuple[Press, Answer]]]] = {}
+    found = harness.measured(answers_of, [(press,) for press in presses], what="recordings")
+    for press, answers in zip(presses, found, strict=True):
         for name, answer in answers.items():
-            groups[question.group][name].append((question, answer))
-    tables, goals = {}, []
-    for group, pairs in groups.items():
-        rows = {name: row_of(those) for name, those in pairs.items()}
-        rows = {name: row for name, row in rows.items() if row["known"].part}
-        tables[group] = Table(group, rows)
-        goals += _goals(group, rows.get("FDEN"))
-    if args.picture is not None:
-        write_picture(args.picture, partial(_draw, tables=list(tables.values())))
+            groups.setdefault(press.group, {}).setdefault(name, []).append((press, answer))
+    tables = {
+        group: Table(group, {name: row_of(pairs) for name, pairs in by_name.items()})
+        for group, by_name in groups.items()
+    }
+    goals = [goal for group, table in tables.items() for goal in _goals(group, table.rows["FDEN"])]
     return Report(goals, tables)
 
 
-def _draw(figure: Figure, tables: Sequence[Table]) -> None:
-    """Draw the median error of each estimator, with a line to its 90th percentile."""
-    figure.set_size_inches(1.6 + 2.3 * len(tables), 2.5)
-    names = list(dict.fromkeys(name for table in tables for name in table.rows))[::-1]
-    (panels,) = figure.subplots(1, len(tables), sharey=True, squeeze=False)
-    for axes, table in zip(panels, tables, strict=True):
-        for name, row in table.rows.items():
-            color = style.ESTIMATE if name == "FDEN" else style.MUTED
-            at, ends = names.index(name), (row["error, median"], row["error, 90 %"])
-            axes.plot(ends, [at, at], color=color, linewidth=3.0)
-            axes.plot(ends[0], at, "o", color=color)
-        axes.set_title(table.title)
-        is_order = "alpha" in table.title
-        axes.set_xlabel("error" if is_order else "error [%]")
-        axes.set_yticks(range(len(names)), names)
-        axes.set_xscale("log")
-        ticks = (0.01, 0.1, 1.0) if is_order else (0.1, 1.0, 10.0, 100.0, 1000.0)
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes.set_xticks([], minor=True)
-
-
-def row_of(pairs: Sequence[Pair]) -> dict[str, Any]:
+def row_of(pairs: Sequence[tuple[Press, Answer]]) -> dict[str, Any]:
     """Return the figures of one estimator."""
-    are_known = [bool(np.isfinite(answer.values).all()) for _, answer in pairs]
-    answered = [pair for pair, is_known in zip(pairs, are_known, strict=True) if is_known]
-    row: dict[str, Any] = {"known": share(are_known)}
-    if answered:
-        asked = pairs[0][0].asked
-        row |= _stiffness(answered) if asked == STIFFNESS else {}
-        row |= _errors(answered)
-    return row
-
-
-def _errors(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return the figures of errors."""
-    scales = [_scale(question) for question, _ in pairs]
-    off = [s * rms(a.values - q.truth) for s, (q, a) in zip(scales, pairs, strict=True)]
-    widths = [2.0 * s * np.median(a.sds) for s, (_, a) in zip(scales, pairs, strict=True)]
-    return {
-        "error, median": float(np.median(off)),
-        "error, 90 %": float(np.percentile(off, 90.0)),
-        "half width": float(np.median(widths)),
-        "in 2 sd": mean_of(_inside(*pair) for pair in pairs),
-    }
-
-
-def _scale(question: Question) -> float:
-    """Return what makes an error percent of the truth or of the peak; 1 of an order."""
-    if question.asked == ALPHA:
-        return 1.0
-    whole = question.seen.forces if question.asked == FORCE else question.truth
-    return 100.0 / float(whole.max())
-
-
-def _inside(question: Question, answer: Answer) -> float:
-    """Return the part of the truths that lie within two deviations; NaN: none is stated."""
-    if not np.isfinite(answer.sds).all():
-        return math.nan
-    reach = 2.0 * np.hypot(answer.sds, question.truth_sd)
-    return float(np.mean(np.abs(answer.values - question.truth) <= reach))
-
-
-def _stiffness(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return the figures of N/m."""
-    values = np.array([answer.values[0] for _, answer in pairs])
-    sds = np.array([answer.sds[0] for _, answer in pairs])
-    truths = np.array([question.truth[0] for question, _ in pairs])
-    moduli = np.array([question.modulus for question, _ in pairs])
-    phantoms = [question.phantom for question, _ in pairs]
+    given = [pair for pair in pairs if math.isfinite(pair[1][0])]
+    row: dict[str, Any] = {"given": share(math.isfinite(answer[0]) for _, answer in pairs)}
+    if not given:
+        return row
+    values, sds = np.array([answer for _, answer in given]).T
+    truths, moduli = np.array([(press.truth, press.modulus) for press, _ in given]).T
+    phantoms = [press.phantom for press, _ in given]
     families = np.array([phantom.partition("_")[0] for phantom in phantoms])
     own = (families == family for family in sorted(set(families)))
-    ratios = values / truths
-    return {
+    ratios, off = values / truths, 100.0 * np.abs(values / truths - 1.0)
+    has_sd = bool(np.isfinite(sds).all())
+    return row | {
         "ratio, median": float(np.median(ratios)),
         "ratio, 5 to 95 %": np.percentile(ratios, [5.0, 95.0]),
         "rank": _rank(values, moduli),
         "in each family": [_rank(values[of], moduli[of]) for of in own],
         "repeats": _repeats(phantoms, values, sds),
+        "error, median": float(np.median(off)),
+        "error, 90 %": float(np.percentile(off, 90.0)),
+        "half width": float(np.median(200.0 * sds / truths)),
+        "in 2 sd": mean_of(np.abs(values - truths) <= 2.0 * sds) if has_sd else math.nan,
     }
 
 
 def _rank(values: Array, moduli: Array) -> float:
     """Return the rank correlation of stiffnesses with moduli; NaN: these are not known."""
-    if moduli.size < 3 or not np.isfinite(moduli).all():
-        return math.nan
-    return float(spearmanr(values, moduli).statistic)
+    is_known = moduli.size > 2 and np.isfinite(moduli).all()
+    return float(spearmanr(values, moduli).statistic) if is_known else math.nan
 
 
 def _repeats(phantoms: Sequence[str], values: Array, sds: Array) -> float:
     """Return the scatter of ln N/m within a phantom over its deviations, as a root mean square."""
-    places = defaultdict(list)
-    for k, phantom in enumerate(phantoms):
-        places[phantom].append(k)
-    off = []
-    for own in (np.array(p) for p in places.values() if len(p) > 1):
-        logs = np.log(np.maximum(values[own], 1e-300))
-        scatter = (logs - logs.mean()) * math.sqrt(own.size / (own.size - 1.0))
-        off += (scatter / (sds[own] / values[own])).tolist()
+    places = np.array(phantoms)
+    off: list[float] = []
+    for own in (places == phantom for phantom in sorted(set(phantoms))):
+        if own.sum() > 1:
+            logs = np.log(np.maximum(values[own], 1e-300))
+            scatter = (logs - logs.mean()) * math.sqrt(own.sum() / (own.sum() - 1.0))
+            off += (scatter / (sds[own] / values[own])).tolist()
     return float(rms(np.array(off))) if off else math.nan
 
 
-def _goals(group: str, row: dict[str, Any] | None) -> list[Goal]:
-    if row is None:
-        return [at_least(f"{group}: known", 0.0, 0.95)]
-    goals = [at_least(f"{group}: known", row["known"].value, 0.95)]
+def _goals(group: str, row: Mapping[str, Any]) -> Iterator[Goal]:
+    yield at_least(f"{group}: given", row["given"].value, 0.95)
     if math.isfinite(row.get("rank", math.nan)):
-        goals.append(at_least(f"{group}: rank with the modulus", row["rank"], 0.97))
-        families = row["in each family"]
-        goals.append(at_least(f"{group}: the same in the worst family", min(families), 0.97))
-    if math.isfinite(row.get("repeats", math.nan)):
-        goals.append(at_most(f"{group}: repeats", row["repeats"], 2.0))
-    return goals
+        yield at_least(f"{group}: rank with the modulus", row["rank"], 0.97)
+        yield at_least(f"{group}: the same in the worst family", min(row["in each family"]), 0.97)
+    yield at_most(f"{group}: repeats", row.get("repeats", math.nan), 2.0)
 
 
 def _more(parser: argparse.ArgumentParser) -> None:
-    words = "where compressions are cut (0.15,0.3)"
-    parser.add_argument("--strains", default="0.15,0.3", metavar="A,B", help=words)
-    words = "write what is asked there, for another program"
-    parser.add_argument("--questions", type=Path, metavar="FOLDER", help=words)
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the errors")
-    words = "its answers; may be given again"
-    parser.add_argument(
-        "--answers", type=Path, action="append", default=[], metavar="FILE", help=words
-    )
+    parser.add_argument("--strains", default="0.15,0.3", help="where compressions are cut")
 
 
 BENCHMARK = Benchmark(run, EPILOG, data=True, more=_more)

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.measured import COLUMNS as HOLD_COLUMNS
-from benchmark.questions import PRESS_COLUMNS, RELAXATION_COLUMNS
-from fden_ros.errors import InputError
+from benchmark.public import COLUMNS as PRESS_COLUMNS
 from fden_ros.recording.reader import BagReader, decode
 
 Row = Sequence[object]
@@ -34,11 +33,9 @@ MODULI = {
     "EF30": {"0T": 103.46, "12_5T": 72.58, "25T": 50.21, "37_5T": 37.16, "50T": 31.85},
     "EF50": {"0T": 158.80, "12_5T": 111.86, "25T": 86.80, "37_5T": 72.76, "50T": 59.25},
 }  # fmt: skip
-#: Which of ten compressions, of three presses and of five temperatures [deg C] are taken.
+#: Which of ten compressions and of five presses are taken.
 _COMPRESSIONS, _PRESSES = ("A1", "A2", "A3", "A5", "B1"), (1, 3, 5)
-_TEMPERATURES = (130, 145, 160, 175, 190)
-_PRESS = ("test", *PRESS_COLUMNS)
-_DAYS = ("230331", "230403")
+_PRESS, _DAYS = ("test", *PRESS_COLUMNS), ("230331", "230403")
 
 
 def phantoms(clone: Path) -> Tables:
@@ -84,40 +81,18 @@ def presses(clone: Path) -> Tables:
 
 def beef(clone: Path) -> Tables:
     """Return the ramps and holds on beef; needs openpyxl."""
-    try:
-        load = importlib.import_module("openpyxl").load_workbook
-    except ModuleNotFoundError:
-        raise InputError(
-            "beef is in spreadsheets: pip install openpyxl, or leave it out"
-        ) from None
+    load = importlib.import_module("openpyxl").load_workbook
     return {f"beef_{day}.csv": _beef(clone, day, load) for day in _DAYS}
 
 
 def _beef(clone: Path, day: str, load: Callable[..., Any]) -> Iterator[Row]:
     yield HOLD_COLUMNS
     name = f"{day}_C_Indentation_relaxation_500N_force.xlsx"
-    folder = clone / "indentation" / "experiments" / "zwick" / "raw_data" / day
-    book = load(folder / name, read_only=True)
+    book = load(clone / "indentation/experiments/zwick/raw_data" / day / name, read_only=True)
     for sheet in book.sheetnames[3:]:  # after parameters, results and statistics
         for row in book[sheet].iter_rows(min_row=4, max_col=4, values_only=True):
             if None not in row:
                 yield (f"{day}/{sheet}", f"beef_{sheet[:2]}", *row)
-
-
-def relaxations(clone: Path) -> Tables:
-    """Return the relaxations of a polymer from 1 to 10 s, and alpha from 0.1 to 1 rad/s."""
-    rows: list[Row] = [("test", *RELAXATION_COLUMNS)]
-    truths: list[Row] = [("test", "alpha", "alpha_sd")]
-    folder = clone / "demos" / "bayesian_optimization" / "data" / "polystyrene"
-    for degrees in _TEMPERATURES:
-        test = f"ps{degrees}"
-        relaxed = np.loadtxt(folder / f"stressrelaxation_{test}_data.csv", skiprows=1)
-        rows += [(test, *map(float, row)) for row in relaxed if 1.0 <= row[0] <= 10.0]
-        omega, storage, loss = np.loadtxt(folder / f"oscillation_{test}_data.csv", skiprows=1).T
-        own = (omega >= 0.1) & (omega <= 1.0)
-        alphas = np.arctan2(loss[own], storage[own]) * 2.0 / np.pi
-        truths.append((test, float(alphas.mean()), float(alphas.std())))
-    return {"relaxations.csv": rows, "relaxations_truth.csv": truths}
 
 
 #: By the name of the clone's folder.
@@ -125,34 +100,25 @@ SOURCES = {
     "tissue-phantom-material-database": phantoms,
     "Ur3e-experimental-setup": presses,
     "perineal_indentation": beef,
-    "pyRheo": relaxations,
 }
 
 
-def main() -> int:
-    """Write the tables of the clones that are there; return the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main() -> None:
+    """Write the tables of the clones that are there."""
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("clones", type=Path, metavar="CLONES")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     args = parser.parse_args()
-    found = {name: read for name, read in SOURCES.items() if (args.clones / name).is_dir()}
-    if not found:
-        parser.error(f"{args.clones} has none of the folders {', '.join(SOURCES)}")
     args.output.mkdir(parents=True, exist_ok=True)
-    for name, read in found.items():
-        try:
-            tables = read(args.clones / name)
-        except (InputError, OSError) as error:
-            print(f"{name}: {error}", file=sys.stderr)
+    for name, read in SOURCES.items():
+        if not (args.clones / name).is_dir():
+            print(f"{args.clones} has no folder {name}", file=sys.stderr)
             continue
-        for table, rows in tables.items():
+        for table, rows in read(args.clones / name).items():
             with open(args.output / table, "w", newline="", encoding="utf-8") as file:
                 csv.writer(file).writerows(rows)
             print(args.output / table)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

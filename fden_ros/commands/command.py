@@ -11,12 +11,9 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fden_ros.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class Parser(argparse.ArgumentParser):
@@ -84,10 +81,3 @@ def write(path: Path, save: Callable[[Path], object]) -> None:
         draft.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise InputError(f"{path} cannot be written: {reason}") from None
-
-
-def write_picture(path: Path, draw: Callable[[Figure], None]) -> None:
-    """Write what `draw` draws, as :func:`write` does."""
-    from fden_ros.report.style import save
-
-    write(path, lambda draft: save(draw, draft))
