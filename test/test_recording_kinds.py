@@ -19,6 +19,7 @@ from command_helpers import fden, rows_of
 from pipeline_helpers import refusal
 from recording_kinds import (
     BAGS,
+    NEWTONS,
     NO_METADATA,
     ROS1,
     ROWS,
@@ -78,29 +79,22 @@ def test_every_kind_of_table_is_read_as_it_stands_or_refused_in_one_line(kind, t
     else:
         reader = reader_of(tmp_path, table)
         assert values(reader) == [pytest.approx(row, rel=1e-6, abs=1e-12) for row in ROWS]
-        assert reader.skipped == table.skipped
+        assert table.warned in " ".join(reader.warnings)
 
 
-@pytest.mark.parametrize(
-    ("rows", "columns", "words"),
-    [
-        ("0,1,2\n0.1,off,2\n0.2,,2\n0.3,1,2\n", "", "2 rows of press.csv hold no number "
-         "where one is needed, the first in line 3: 0.1, off, 2"),
-        ("0,1,2\n1,1,2\nTime (s),Depth (mm),Load (N)\n0,2,1\n", "", "the rows of press.csv from "
-         "line 4 on are of another table, with Time (s), Depth (mm), Load (N), and left out"),
-        (20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", "", "46 rows of press.csv have the time "
-         "of the row before: give their rate as the first of --columns, such as @20"),
-        (20 * "5,1,2\n", "1,2,3", "such as @500"),
-        (12 * "0,1,2\n" + "Time (s),Depth (mm),Load (N)\n" + 20 * "0,1,2\n", "",
-         "12 rows of press.csv above line 15 are of another table, and left out"),
-    ],
-)  # fmt: skip
-def test_what_is_left_out_of_a_table_or_has_no_time_of_its_own_is_said(
-    rows, columns, words, tmp_path
+@pytest.mark.parametrize("repeats", [(1,), (10,), (3, 4)])
+def test_of_a_force_that_stands_in_several_rows_the_first_is_used_and_its_rate_said(
+    repeats, tmp_path
 ):
-    reader = reader_of(tmp_path, Table("Time (s),Load (N),Depth (mm)\n" + rows, columns))
-    assert list(reader.rows())
-    assert words in " ".join(reader.warnings)
+    cells = [f for k in range(60) for f in [0.1 + 0.01 * k] * repeats[k % len(repeats)]]
+    rows = "".join(f"{0.01 * i:.2f},{f:.2f},{0.1 * i:.1f}\n" for i, f in enumerate(cells))
+    reader = reader_of(tmp_path, Table(NEWTONS + rows))
+    kept = [(row.stamp_ns, row.force) for row in reader.rows() if row.force is not None]
+    mean = sum(repeats) / len(repeats)
+    assert [force for _, force in kept] == [pytest.approx(0.1 + 0.01 * k) for k in range(60)]
+    assert len(list(reader.rows())) == len(cells)
+    said = f"stands in {mean:.2g} rows: the first of them is used" in " ".join(reader.warnings)
+    assert said == (mean > 1.0)
 
 
 @pytest.mark.parametrize("kind", BAGS)

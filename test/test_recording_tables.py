@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables of testing machines and of arms: what they lack of a press in the air, and vectors."""
+"""Tables of testing machines, which lack the air before a press."""
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,8 @@ import numpy as np
 import pytest
 from command_helpers import answer
 from recording_kinds import NEWTONS, PLAIN
-from scipy.spatial.transform import Rotation
 
-from fden_ros.core.outputs import ContactSummary
-from fden_ros.errors import InputError
-from fden_ros.offline.replay import replay
-from fden_ros.parameters import check, read_parameter_file
+from fden_ros.parameters import check
 from fden_ros.recording.source import Selection, open_source
 
 POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
@@ -68,34 +63,37 @@ def machine_rows(
     )
 
 
+SPECIMEN = "Cylinder Diameter: 50mm;\nCylinder Height: 30mm;\n"
+
+
 @pytest.mark.parametrize(
-    ("air", "offset", "is_touched"),
-    [(0.0, 0.0, True), (0.0, 0.008, True), (1e-3, 0.0, False), (0.0, 0.5, False)],
+    ("preamble", "air", "offset", "is_touched", "is_asked"),
+    [
+        (SPECIMEN, 0.0, 0.008, True, False),
+        (SPECIMEN, 1e-3, 0.0, False, False),
+        ("Machine: INSTRON 5900\n", 0.0, 0.0, False, True),
+        ("", 0.0, 0.0, False, True),
+        ("", 1e-3, 0.0, False, False),
+        ("", 0.0, 0.5, False, False),
+    ],
 )
-def test_a_recording_without_air_is_told_by_its_first_rise(
-    tmp_path: Path, air: float, offset: float, is_touched: bool
+def test_a_specimen_states_that_a_table_begins_at_the_touch_and_what_looks_so_is_asked_for(
+    tmp_path: Path, preamble: str, air: float, offset: float, is_touched: bool, is_asked: bool
 ) -> None:
     path = tmp_path / "press.csv"
-    path.write_text(NEWTONS + machine_rows(air, offset))
+    path.write_text(preamble + NEWTONS + machine_rows(air, offset))
     source = open_source(path, check({}))
     assert (source.parameters.core.contact_point is not None) is is_touched
     assert source.parameters.core.contact.measure_bias is not is_touched
-    assert bool(source.set_by_recording) is is_touched
-    # An option outdoes what it looks like, and a configured origin is left alone.
-    told = open_source(path, check({}), Selection(from_touch=not is_touched))
-    assert (told.parameters.core.contact_point is None) is is_touched
-    stated = check({"origin.source": "given", "origin.displacement": 1e-3})
-    assert open_source(path, stated).parameters == stated
-
-
-@pytest.mark.parametrize(("back", "is_touched"), [(0.0, True), (-1e-4, False)])
-def test_a_probe_that_goes_back_behind_its_first_place_comes_from_the_air(
-    tmp_path: Path, back: float, is_touched: bool
-) -> None:
-    path = tmp_path / "press.csv"
-    path.write_text(NEWTONS + machine_rows() + f"41,0.5,1\n42,0,{1e3 * back}\n")
-    source = open_source(path, check({}))
-    assert (source.parameters.core.contact_point is not None) is is_touched
+    assert ("then give --from-touch" in " ".join(source.warnings)) is is_asked
+    # An option outdoes it, and a configured origin is left alone.
+    for from_touch in (False, True):
+        stated = open_source(path, check({}), Selection(from_touch=from_touch))
+        assert (stated.parameters.core.contact_point is not None) is from_touch
+        assert "--from-touch" not in " ".join(stated.warnings)
+    parameters = check({"origin.source": "given", "origin.displacement": 1e-3})
+    parameters = parameters.changed({"geometry.area": 1e-3, "geometry.thickness": 0.03})
+    assert open_source(path, parameters).parameters == parameters
 
 
 @pytest.mark.parametrize(
@@ -157,82 +155,3 @@ def test_the_air_of_a_recording_without_air_does_not_drift(
     path.write_text(NEWTONS + machine_rows(offset=0.1, steps=600, slope=slope, curve=curve))
     found = replayed(capsys, path, "--no-from-touch", "--diameter", "50mm", "--height", "30mm")
     assert not [line for line in found["warnings"] if "drifts in the air" in line]
-
-
-# An arm's recorder: places and forces are vectors, in the base or in the tool
-
-
-DOWN = Rotation.from_rotvec([np.pi, 0.0, 0.0])
-UPRIGHT = (DOWN,) * 3
-ASKEW = (DOWN, DOWN * Rotation.from_euler("x", 20.0, degrees=True), Rotation.identity())
-LYING = (Rotation.from_euler("y", 90.0, degrees=True),) * 3
-BASE, TOOL = "actual_TCP_force", "ft_raw_wrench"
-
-
-def arm_table(path: Path, turns: tuple[Rotation, ...], force: str, *, has_turns: bool) -> Path:
-    """Write a press at three places 50 mm apart, along the tool's z, as a UR's recorder does."""
-    time, load, depth = np.loadtxt(PRESS, delimiter=",", skiprows=1).T
-    first = time < 5.6
-    parts = []
-    for k, turn in enumerate(turns):
-        into = turn.apply([0.0, 0.0, 1.0])
-        place = 1e-3 * np.outer(depth[first], into) + [0.3, -0.2 + 0.05 * k, 0.1]
-        push = np.outer(load[first], -into)
-        push = push if force == BASE else turn.inv().apply(push)
-        angles = [np.tile(turn.as_rotvec(), (push.shape[0], 1))] if has_turns else []
-        parts.append(np.hstack([time[first, None] + 5.6 * k, place, *angles, push]))
-    names = [f"actual_TCP_pose_{k}" for k in range(6 if has_turns else 3)]
-    names += [f"{force}_{k}" for k in range(3)]
-    header = " ".join(["timestamp", *names])
-    np.savetxt(path, np.vstack(parts), "%.7f", header=header, comments="")
-    return path
-
-
-@functools.cache
-def of_a_joint() -> ContactSummary:
-    """Return what the same press gives as two numbers a row."""
-    first, _ = replay(PRESS, read_parameter_file(PRESS.with_name("probe.yaml"))).summaries
-    return first
-
-
-@pytest.mark.parametrize(
-    ("turns", "force", "has_turns", "said"),
-    [
-        (UPRIGHT, BASE, True, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
-        (UPRIGHT, BASE, False, "displacement.axis [0.0, 0.0, -1.0], force.axis [0.0, 0.0, 1.0]"),
-        (LYING, BASE, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [-1.0, 0.0, 0.0]"),
-        (LYING, TOOL, True, "displacement.axis [1.0, 0.0, 0.0], force.axis [0.0, 0.0, -1.0]"),
-        (ASKEW, BASE, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
-        (ASKEW, TOOL, True, "displacement.along_tool true, force.axis [-0.0, -0.0, -1.0]"),
-    ],
-)
-def test_three_places_of_an_arm_are_three_sites_whatever_the_frame_of_the_force(
-    tmp_path: Path, turns: tuple[Rotation, ...], force: str, has_turns: bool, said: str
-) -> None:
-    table = arm_table(tmp_path / "robot_data.csv", turns, force, has_turns=has_turns)
-    arm = replay(table, read_parameter_file(PRESS.with_name("probe.yaml")))
-    usual = of_a_joint()
-    assert [one.site_id for one in arm.summaries] == [1, 2, 3]
-    for one in arm.summaries:
-        assert one.converged and one.estimate is not None and usual.estimate is not None
-        assert one.max_force == pytest.approx(usual.max_force, rel=0.01)
-        ratio = one.estimate.linear_stiffness / usual.estimate.linear_stiffness
-        assert ratio == pytest.approx(1.0, abs=0.05)
-    assert arm.set_by_recording[0].replace("-0.0", "0.0").startswith(said.replace("-0.0", "0.0"))
-    frame = "the base's frame" if force == BASE else "the tool's frame"
-    assert arm.inputs["force"] == f"columns {force}_0 to {force}_2, in {frame}"
-
-
-def test_axes_that_are_stated_count_for_an_arm_and_a_machines_options_do_not(
-    tmp_path: Path,
-) -> None:
-    table = arm_table(tmp_path / "robot_data.csv", LYING, BASE, has_turns=True)
-    stated = {"displacement.axis": [2.0, 0.0, 0.0], "force.axis": [-1.0, 0.0, 0.0]}
-    source = open_source(table, check(stated))
-    assert source.set_by_recording == ()
-    assert source.parameters == check(stated)
-    with pytest.raises(InputError, match="--from-touch is for a machine's one direction"):
-        open_source(table, check({}), Selection(from_touch=True))
-    placed = arm_table(tmp_path / "places.csv", LYING, BASE, has_turns=False)
-    with pytest.raises(InputError, match="asks for the tool's orientation"):
-        open_source(placed, check({"displacement.along_tool": True}))

@@ -85,7 +85,7 @@ def add_machine_options(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="it begins at the touch or at a preload, tared, without air. The first sample is the "
         "contact point, the force's bias is 0, and the rig is rigid (config/bench.yaml). All but "
-        "the rig is the default where the force rises from zero with the first motion",
+        "the rig is the default where the preamble states a specimen",
     )
     size = as_argument(_size)
     face = group.add_mutually_exclusive_group()

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
@@ -110,10 +110,8 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     columns = selection.columns or stated_columns(path)
     selection = Selection(columns=columns, where=selection.where)
     table = TableReader(path, columns, selection.where)
-    rows = list(table.rows())
-    stamps = np.array([row.stamp_ns for row in rows], dtype=np.int64)
-    force_values, places = (_filled([row[i] for row in rows]) for i in (1, 2))
-    good = np.stack([np.isfinite(one).all(axis=1) for one in (force_values, places)], axis=1)
+    stamps, forces, places = table.stamps, table.force[:, None], table.displacement[:, None]
+    good = np.isfinite(np.hstack([forces, places]))
     least = int(good.sum(axis=0).min())
     if least < _LEAST_SAMPLES:
         raise InputError(f"{path} has {least} rows: at least {_LEAST_SAMPLES} are needed")
@@ -121,24 +119,10 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     if good.all(axis=1).sum() >= _LEAST_SAMPLES:
         good[:] = good.all(axis=1, keepdims=True)
     (force_times, force), (times, motion) = (_times(stamps, first, good[:, i]) for i in (0, 1))
-    turns = None
-    if table.has_turns and table.is_in_tool and table.has_vectors[0]:
-        # Of the force's frame: that of a force in the base does not turn.
-        turns = _filled([row.turn for row in rows])[motion]
-    streams = Streams(
-        str(path), force_times, force_values[force], times, places[motion], orientation=turns
-    )
+    streams = Streams(str(path), force_times, forces[force], times, places[motion])
     named = {"force": columns.force, "displacement": columns.displacement}
     inputs = {stream: table.named(column) for stream, column in named.items()}
     return Reading(path, streams, selection, inputs, warnings=table.warnings)
-
-
-def _filled(values: Sequence[float | tuple[float, ...] | None]) -> Array:
-    """Return numbers or vectors as (n, 1) or (n, k); what a row does not hold becomes NaN."""
-    some = next((np.atleast_1d(value) for value in values if value is not None), np.zeros(1))
-    nothing = np.full(some.size, np.nan)
-    kept = [nothing if value is None else np.atleast_1d(value) for value in values]
-    return np.array(kept, dtype=float).reshape(-1, some.size)
 
 
 @dataclass

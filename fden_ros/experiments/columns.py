@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.recording.headings import Heading, candidates
-from fden_ros.recording.text import is_number, layout_of, looks_like_a_table, numeral
+from fden_ros.recording.text import Layout, is_number, layout_of, looks_like_a_table, rows_of
 
 #: The columns that experiments read, and their units.
 UNITS = {
@@ -54,18 +54,15 @@ class Table:
     rows : tuple of tuple of str
     lines : tuple of int
         Line of each row in the file, counted from 1.
-    units : tuple of str
-        Of a row of units below the names; empty where there is none.
-    decimals : tuple of str
-        Decimal mark of each column.
+    layout : Layout
+        How it is written.
     """
 
     path: Path
     names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
-    units: tuple[str, ...] = ()
-    decimals: tuple[str, ...] = ()
+    layout: Layout
 
     def __contains__(self, name: str) -> bool:
         return bool(self._places(name))
@@ -81,13 +78,14 @@ class Table:
         quantity = _QUANTITIES.get(name)
         if quantity is None:
             return []
-        units = (*self.units, *[""] * len(self.names))
+        units = (*self.layout.units, *[""] * len(self.names))
         headings = [Heading(*one) for one in zip(self.names, units, strict=False)]
         if not any(heading.has_unit for heading in headings):
             named = (i for i, heading in enumerate(headings) if heading.names(quantity))
             return [(index, 1.0) for index in named]
         of_unit = "stress" if quantity == "modulus" else quantity
-        found = candidates(headings, quantity, unit=of_unit)
+        every = candidates(headings, quantity, unit=of_unit)
+        found = [(index, factor) for index, factor in every if factor is not None]
         if found or quantity != "strain":
             return found
         bare = (i for i, one in enumerate(headings) if one.names(quantity) and not one.has_unit)
@@ -100,7 +98,7 @@ class Table:
             if name == "strain" or name in self.names or name not in self:
                 continue
             index, factor = self._places(name)[0]
-            heading = Heading(self.names[index], *self.units[index : index + 1])
+            heading = Heading(self.names[index], *self.layout.units[index : index + 1])
             if factor == 1.0 and not heading.has_unit:
                 lines.append(f"{heading.text} states no unit: it is taken to be in {UNITS[name]}")
         return tuple(lines)
@@ -123,19 +121,16 @@ class Table:
                 f"{UNITS[name]} and name it {name}"
             )
         ((index, factor),) = places
-        decimal = self.decimals[index] if index < len(self.decimals) else "."
         values = []
         for line, row in zip(self.lines, self.rows, strict=True):
             cell = row[index] if index < len(row) else ""
             try:
-                value = factor * float(numeral(cell, decimal) or cell)
+                value = factor * self.layout.number(cell)
             except ValueError:
+                value = math.nan
+            if math.isnan(value):
                 problem = f"{cell!r} is not a number" if cell else "is empty"
                 raise InputError(f"{self.path}, line {line}: {name} {problem}") from None
-            if not math.isfinite(value):
-                raise InputError(
-                    f"{self.path}, line {line}: {name} is {cell}; leave the row out or correct it"
-                )
             values.append(value)
         return np.array(values)
 
@@ -231,16 +226,16 @@ def read_table(path: str | Path) -> Table:
     layout = layout_of(path)
     names = layout.headings
     if not names or all(map(is_number, names)):
-        line = layout.before + 1
+        line = layout.lines[0][0]
         raise InputError(f"{path}: line {line} holds numbers; it must hold the column names")
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
         raise InputError(f"{path}: there are two columns {doubled}; keep one")
-    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in layout.rows()]
+    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in rows_of(layout)]
     if not rows:
         raise InputError(f"{path} has names but no rows of numbers")
     lines, cells = zip(*rows, strict=True)
-    return Table(path, names, cells, lines, layout.units, layout.decimals)
+    return Table(path, names, cells, lines, layout)
 
 
 def csv_files(folder: str | Path) -> list[Path]:

@@ -13,10 +13,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
-from fden_ros.core.streams import Sink, conjugate, rotate
+from fden_ros.core.streams import Sink
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe
-from fden_ros.recording.arm import arm_values
 from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.candidates import hint_of
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
@@ -63,7 +62,7 @@ class Selection:
     columns: Columns | None = None  #: of a table
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
     stamps: str = "header"  #: of a bag's messages; or ``recording``, the time of their recording
-    from_touch: bool | None = None  #: whether a table begins at the touch; None: as it looks
+    from_touch: bool | None = None  #: whether a table begins at the touch; None: by its preamble
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -362,27 +361,30 @@ class TableSource:
 
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         assert selection.columns is not None
-        if parameters.tool.mass:
-            raise InputError(
-                "tool.mass compensates the weight by the tool's orientation, which a table does "
-                "not hold: set tool.mass to 0, or replay a bag with poses"
-            )
-        if parameters.frames.base:
-            raise InputError(
-                "frames.base asks for transforms, which a table does not hold: unset it, or "
-                "replay a bag"
-            )
+        for name, is_set, what in (
+            ("tool.mass", bool(parameters.tool.mass), "the tool's orientation"),
+            ("displacement.along_tool", parameters.displacement.along_tool, "the same"),
+            ("frames.base", bool(parameters.frames.base), "transforms"),
+        ):
+            if is_set:
+                raise InputError(
+                    f"{name} asks for {what}, which a table does not hold: unset it, or replay a "
+                    "bag"
+                )
         self._columns = selection.columns
         self._table = TableReader(path, selection.columns, selection.where)
-        find = arm_values if any(self._table.has_vectors) else machine_values
-        values, self.set_by_recording = find(self._table, parameters, selection.from_touch)
+        values, self.set_by_recording, questions = machine_values(
+            self._table, parameters, selection.from_touch
+        )
+        #: What was wrong with the table, or is to be stated.
+        self.warnings = (*self._table.warnings, *questions)
         #: The parameters, with what the table says or needs.
         self.parameters = parameters.changed(values) if values else parameters
 
     @property
     def total(self) -> int:
-        """Rows are not known before they are read."""
-        return 0
+        """Rows."""
+        return int(self._table.stamps.size)
 
     @property
     def inputs(self) -> dict[str, str]:
@@ -394,25 +396,15 @@ class TableSource:
         }
         return {stream: self._table.named(column) for stream, column in columns.items()}
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What was wrong with the table."""
-        return self._table.warnings
-
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
         """Feed the rows in the order of the file."""
         inputs = Inputs(self.parameters, sink)
-        is_turned = self.parameters.displacement.along_tool and not self._table.is_in_tool
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.displacement is not None:
-                place = inputs.places["displacement"]
-                place.add_value("", row.stamp_ns, row.displacement, row.turn)
+                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
             if row.force is not None:
-                force = row.force
-                if is_turned and row.turn is not None and not isinstance(force, float):
-                    force = rotate(conjugate(row.turn), force)
-                inputs.add_force_value("", row.stamp_ns, force)
+                inputs.add_force_value("", row.stamp_ns, row.force)
             yield done
 
 
