@@ -384,5 +384,5 @@ def test_table_without_orientations_is_refused_for_a_heavy_tool(tmp_path: Path) 
     table.write_text("time,force,depth\n0.0,0.0,0.0\n0.1,0.0,0.0\n")
     selection = Selection(columns=Columns.parse("time,force,depth"))
     assert replay(table, Parameters(), selection).samples == 2
-    with pytest.raises(InputError, match=r"tool\.mass compensates the weight"):
+    with pytest.raises(InputError, match=r"tool\.mass asks for the tool's orientation"):
         replay(table, own_parameters(tool__mass=0.01), selection)

@@ -124,17 +124,6 @@ def recorded(
     return rig.record(folder, streams), truth
 
 
-def _as_table(folder: Path, streams: Streams) -> Path:
-    """Write the file of the real-time interface's recorder, separated by blanks."""
-    path = folder / "robot_data.csv"
-    times = streams.force_times
-    newest = np.searchsorted(streams.motion_times[1:], times, side="right")
-    rows = np.hstack([times[:, None], streams.force, streams.position[newest]])
-    names = [f"actual_TCP_{what}_{k}" for what in ("force", "pose") for k in range(3)]
-    np.savetxt(path, rows, "%.6f", header=" ".join(["timestamp", *names]), comments="")
-    return path
-
-
 def _as_bag(force: str, displacement: str) -> Callable[[Path, Streams], Path]:
     def record(folder: Path, streams: Streams) -> Path:
         return RigBag(streams, force, displacement).write(folder / "bag")
@@ -167,7 +156,6 @@ def _ns(seconds: float) -> int:
 
 _SLANTED = np.array([0.36, 0.48, -0.8])
 LAYOUTS = {
-    "UR table": Rig((500.0, 500.0), -DOWN, DOWN, ("--robot", "ur", "--one-place"), _as_table),
     "UR bag": Rig(
         (500.0, 500.0),
         DOWN,
@@ -237,7 +225,7 @@ def deviations(contact: dict[str, Any], truth: Truth) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize("layout", ["UR table", "tf bag"])
+@pytest.mark.parametrize("layout", ["dVRK bag", "tf bag"])
 def test_the_commands_lead_from_a_recording_to_numbers(layout, tmp_path, capsys):
     contacts, truth = identified(tmp_path / "one", layout, 0, NOISES[1], capsys)
     assert all(contact["converged"] for contact in contacts)

@@ -50,7 +50,8 @@ def hint_of(reader: BagReader, unclear: Collection[str]) -> Callable[[], Hint]:
             for stream in unclear
             for word in (f"--{stream}-topic", "TOPIC", f"--{stream}-field", "FIELD")
         ]
-        return Hint(tuple(_listing(ranges_of(reader))), tuple(options))
+        lines = _listing(ranges_of(reader))
+        return Hint(tuple(lines), tuple(options) if lines else ())
 
     return hint
 
