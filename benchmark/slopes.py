@@ -15,14 +15,14 @@ from benchmark.score import TWO_SIDED_95, Share, share
 from benchmark.trial import feed_samples, last_summaries
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import Output
+from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import Pair, StaticLinks, Synchronizer
 from simulation.scenario import Scenario
 from simulation.simulate import simulate
 
-#: Points of a window, evenly over the way.
-_POINTS = 400
+#: Way of the motion whose parabola gives the true slope [m].
+_WAY = 5e-4
 
 
 def slopes_held(scenario: Scenario, config: PipelineConfig, outputs: Iterable[Output]) -> Share:
@@ -48,21 +48,23 @@ class SmoothMotion:
         self.places = np.array([free(pair, pair.force) for pair in pairs])
         self.forces = np.array([pair.force for pair in pairs])
 
-    def beside(self, measured: BothWays) -> Iterator[tuple[MeasuredStiffness, float]]:
-        """Give each measured slope with the true one of its window."""
+    def beside(self, measured: Slopes) -> Iterator[tuple[MeasuredSlope, float]]:
+        """Give each measured slope with the true one where the probe was then."""
         for sign, found in zip((1.0, -1.0), measured, strict=True):
             if found is not None:
                 yield found, self.slope(found, sign)
 
-    def slope(self, found: MeasuredStiffness, sign: float) -> float:
-        """Return the slope of the line through the window of a measured one [N/m]."""
-        stop = int(np.searchsorted(self.stamps, found.stamp_ns, side="right"))
-        ways = sign * (self.places[:stop] - found.depth)
-        outside = np.flatnonzero(ways < -0.5 * found.width)
-        start = max(int(outside[-1]), 0) if outside.size else 0
-        way = np.linspace(-0.5, 0.5, _POINTS) * found.width
-        force = np.interp(way, *_rising(ways[start:], self.forces[start:stop]))
-        return sign * float(np.polyfit(way, force, 1)[0])
+    def slope(self, found: MeasuredSlope, sign: float) -> float:
+        """Return the slope of the motion at the stamp of a measured one [N/m].
+
+        By a parabola over half a millimetre: before the end of a loading, or from it on.
+        """
+        at = int(np.searchsorted(self.stamps, found.stamp_ns))
+        own = slice(at, None, -1) if sign > 0.0 else slice(at, None)
+        ways, forces = _rising(self.places[at] - self.places[own], self.forces[own])
+        inside = ways <= _WAY
+        line = np.polynomial.Polynomial.fit(-ways[inside], forces[inside], 2)
+        return float(line.deriv()(0.0))
 
 
 def _rising(ways: Array, forces: Array) -> tuple[Array, Array]:

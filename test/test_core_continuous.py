@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from pipeline_helpers import begun
 from property_helpers import counts, first
-from scipy.signal import fftconvolve
 
 from fden_ros.core import (
     ContactSummary,
@@ -192,93 +191,6 @@ def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_varian
 
 
 NONLINEAR = {"geometry.area": 3e-4, "geometry.thickness": 0.02, "geometry.thickness_sd": 0.0}
-LAWS = {
-    "exponential": lambda x, gn: np.where(gn * x < 1.0, x, np.exp(gn * x - 1.0) / gn),
-    "linear": lambda x, gn: x,
-    "quadratic": lambda x, gn: x + 0.5 * gn * x**2,
-    "power": lambda x, gn: np.maximum(x, 0.0) ** 1.5,
-}
-
-
-def nonlinear(
-    seed: int,
-    nonlinear_stiffness: float,
-    depth: float,
-    *,
-    law: str = "exponential",
-    is_rigid: bool = True,
-    unevenness: float = 0.0,
-) -> Palpated:
-    """A palpation of 5 % strain about a strain of `depth` [1] that goes up and down by a tenth.
-
-    A flat punch of 3 cm^2 on 20 mm, 60 s at 200 Hz and 3 mm/s; G is 6000 Pa s^alpha and goes up
-    and down by exp(+-`unevenness`) along the path. The fractional derivative is Gruenwald's sum.
-    """
-    rng = np.random.default_rng([seed, 77])
-    step, length, area = 0.005, 0.02, 3e-4
-    n = round(60.0 / step)
-    t = step * np.arange(n)
-    order, omega = rng.uniform(0.05, 0.3), 2.0 * math.pi * 1.5 * (1.0 + 0.01 * rng.normal())
-    surface = 1e-4 * np.cumsum(rng.normal(size=n)) * math.sqrt(step)
-    size = 0.05 * (1.0 + 0.1 * np.sin(0.3 * t + rng.uniform(0.0, 6.0)))
-    mean = depth * (1.0 + 0.1 * np.sin(0.25 * t + rng.uniform(0.0, 6.0)))
-    way = length * (mean + size * np.cos(omega * t + rng.uniform(0.0, 6.0)))
-    stress = LAWS[law]((way - surface) / length, nonlinear_stiffness)
-    k = np.arange(1, n)
-    weights = np.cumprod(np.r_[1.0, (k - 1.0 - order) / k]) * step**-order
-    uneven = np.exp(unevenness * np.sin(2.0 * math.pi * t / 15.0 + rng.uniform(0.0, 6.0)))
-    force = 6000.0 * area * uneven * fftconvolve(stress, weights)[:n]
-    force += 0.3 + 5e-3 * np.cumsum(rng.normal(size=n)) * math.sqrt(step)
-    force += 0.01 * rng.normal(size=n)
-    if not is_rigid:
-        force += 0.007 * rng.normal() * np.sign(np.gradient(way))
-        way = way + 1.5e-4 * rng.normal() * force
-        way = np.interp(t - 0.0025 * rng.normal(), t, way)
-    way = way + 2e-6 * rng.normal(size=n)
-    # Begun in contact, and longer ago than the data.
-    late = slice(round(2.0 / step), None)
-    return Palpated(t[late], way[late], force[late], 3e-3 * t[late], uneven[late], order, omega)
-
-
-def nonlinear_places(record: Palpated, **values):
-    """Return the estimates of the places whose Gn is known, and the number of all places."""
-    places = known_places(identify(record, **NONLINEAR, **values)[1])
-    shown = ParameterSet.NONLINEAR_STIFFNESS
-    return [one.estimate for one in places if one.estimate.observable & shown], len(places)
-
-
-@pytest.mark.parametrize("seeds", counts(4, 24))
-def test_gn_beyond_the_boundary_is_told_with_intervals_that_hold(seeds):
-    told, count, last = 0, 0, []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        truth, is_rigid = rng.uniform(6.0, 14.0), bool(seed % 2)
-        depth = 1.0 / truth + 0.1 + rng.uniform(0.0, 0.05)
-        record = nonlinear(seed, truth, depth, is_rigid=is_rigid, unevenness=0.2 * (seed % 3 > 0))
-        estimates, places = nonlinear_places(record, **(RIGID if is_rigid else {}))
-        told, count = told + len(estimates), count + places
-        # Of one record all have an error in common.
-        for one in estimates[-1:]:
-            last.append((one.log_nonlinear_stiffness - math.log(truth)) / one.deviations[1])
-    assert told > 0.2 * count and len(last) > 2 * seeds / 3
-    assert np.mean(np.abs(last) < 1.96) > 0.85
-    assert 0.4 < math.sqrt(np.mean(np.square(last))) < 1.4
-
-
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("law", first("quadratic", "power", "linear"))
-def test_gn_is_not_told_where_the_harmonics_are_not_those_of_the_law(law, seed):
-    estimates, count = nonlinear_places(nonlinear(seed, 8.0, 0.25, law=law), **RIGID)
-    assert count > 30 and not estimates
-
-
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("depth", first(0.125, 0.06, 0.16))
-def test_a_stroke_that_passes_the_boundary_tells_no_wrong_gn(depth, seed):
-    """Half way at 0.125; where the surface comes by as much, the stroke is beyond for a while."""
-    estimates, count = nonlinear_places(nonlinear(seed, 8.0, depth), **RIGID)
-    errors = [(e.log_nonlinear_stiffness - math.log(8.0)) / e.deviations[1] for e in estimates]
-    assert count > 30 and all(abs(error) < 3.0 for error in errors)
 
 
 def test_the_complex_modulus_is_the_stiffness_by_the_geometry():

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The slope of force over displacement as it is measured, by no law.
+"""The slope of force over displacement at the end of loading, as it is measured, by no law.
 
 The truth is a spring, a parabola or an exponential, differentiated by hand.
 """
@@ -19,19 +19,15 @@ import pytest
 from pipeline_helpers import begun
 from property_helpers import counts
 
-from fden_ros.control import LiveTissue
 from fden_ros.core import ContactSummary, Pipeline, Status, TissueState
-from fden_ros.core.measured_contacts import MeasuredContacts
-from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays, MeasuredStiffness
 from fden_ros.core.outputs import Output
+from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 
 START_NS = 1_000_000_000
-RATE = 500.0
-SPEED = 0.004
-SPRING = 300.0
+RATE, SPEED, SPRING = 500.0, 0.004, 300.0
 CONTINUOUS = {"contact.mode": "continuous"}
 
 
@@ -50,19 +46,24 @@ def press(depth: float = 0.005, speed: float = SPEED) -> np.ndarray:
 
 
 def slopes(
-    places: np.ndarray, forces: np.ndarray, *, noise: float = 0.0, rate: float = RATE
-) -> Iterator[BothWays]:
+    places: np.ndarray,
+    forces: np.ndarray,
+    *,
+    rate: float = RATE,
+    surface: float = 0.0,
+    **own: float,
+) -> Iterator[Slopes]:
     """Give what is measured after each sample of one contact."""
-    config = pipeline_config(check({"force.noise": noise}))
-    measured = MeasuredContacts(config)
+    bias = own.pop("bias", 0.0)
+    measured = MeasuredSlopes(pipeline_config(check({k.replace("__", "."): own[k] for k in own})))
     for count, (place, force) in enumerate(zip(places.tolist(), forces.tolist(), strict=True)):
         stamp_ns = START_NS + round(count / rate * NANOSECONDS)
         measured.add(Pair(0, stamp_ns, force, place, None))
-        measured.assign(1, in_contact=True)
+        measured.assign(1, in_contact=True, surface=surface, bias=bias)
         yield measured.newest
 
 
-def last(places: np.ndarray, forces: np.ndarray, **options: float) -> BothWays:
+def last(places: np.ndarray, forces: np.ndarray, **options: float) -> Slopes:
     *_, found = slopes(places, forces, **options)
     return found
 
@@ -87,73 +88,57 @@ def states_of(outputs: list[Output]) -> list[TissueState]:
     return [output for output in outputs if isinstance(output, TissueState)]
 
 
-def distinct(found: list[MeasuredStiffness | None]) -> list[MeasuredStiffness]:
-    return [one for one, _ in itertools.groupby(found) if one is not None]
+CURVES: dict[str, tuple[Callable, Callable]] = {
+    "spring": (lambda x: SPRING * x, lambda x: SPRING),
+    "parabola": (lambda x: 20.0 * x + 4e4 * x**2, lambda x: 20.0 + 8e4 * x),
+    "exponential": (lambda x: 0.02 * np.exp(700.0 * x), lambda x: 14.0 * math.exp(700.0 * x)),
+}
 
 
-def test_spring_has_its_stiffness_at_every_depth():
+@pytest.mark.parametrize("name", CURVES)
+def test_slope_is_that_of_the_curve_at_the_deepest_point(name):
+    curve, derivative = CURVES[name]
     places = press()
-    found = distinct([both.loading for both in slopes(places, SPRING * places)])
-    assert len(found) > 50
-    assert [one.value for one in found] == pytest.approx([SPRING] * len(found), rel=1e-9)
-    assert max(one.sd for one in found) < 1e-3 * SPRING
-    assert found[-1].depth + 0.5 * found[-1].width == pytest.approx(0.005, abs=2e-5)
-    assert found[-1].stamp_ns == pytest.approx(START_NS + 1.25 * NANOSECONDS, abs=2e7)
+    found = last(0.1 + places, curve(places) + 30.0, surface=0.1)
+    for one in found:
+        assert one.value == pytest.approx(derivative(one.depth), rel=5e-3)
+        assert one.depth == pytest.approx(0.005, abs=4e-5)
+        assert one.stamp_ns == pytest.approx(START_NS + 1.25 * NANOSECONDS, abs=1.5e7)
 
 
-@pytest.mark.parametrize("zero", [0.0, -7.0, 30.0])
-def test_zeros_of_force_and_displacement_play_no_part(zero):
-    places = press() + 0.1
-    found = last(places, SPRING * places + zero).loading
-    assert found.value == pytest.approx(SPRING, rel=1e-9)
-    assert 0.1 < found.depth < 0.105
-
-
-def test_parabola_has_its_slope_at_the_depth_that_is_stated():
+def test_compliance_acts_on_the_force_above_its_bias():
+    """A tool of 1 mm/N before a sensor that reads -50 N in the air."""
     places = press()
-    curve = 20.0 * places + 4e4 * places**2
-    for found in distinct([both.loading for both in slopes(places, curve)]):
-        assert found.value == pytest.approx(20.0 + 8e4 * found.depth, rel=2e-3)
+    force = SPRING * places
+    found = last(places + 1e-3 * force, force - 50.0, bias=-50.0, displacement__compliance=1e-3)
+    assert found.loading.value == pytest.approx(SPRING, rel=1e-6)
+    assert found.loading.depth == pytest.approx(0.005, abs=4e-5)
 
 
-def test_exponential_is_straight_enough_over_a_quarter_of_its_force():
-    places, scale = press(), 800.0
-    found = last(places, 0.02 * np.exp(scale * places)).loading
-    true = 0.02 * scale * math.exp(scale * found.depth)
-    assert found.value == pytest.approx(true, rel=5e-3)
-    assert abs(found.value - true) < 2.0 * found.sd
-    assert found.depth > 0.0044
-
-
-def noisy(seed: int, curve: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float, float]:
+def noisy(seed: int, name: str) -> tuple[float, float, float]:
     """Return slope, deviation and slope of the curve there, of a noisy press."""
-    draw = np.random.default_rng(seed)
+    draw, (curve, derivative) = np.random.default_rng(seed), CURVES[name]
     places = press()[: round(0.005 / SPEED * RATE)]
     read = places + 5e-6 * draw.standard_normal(places.size)
-    forces = curve(places) + 0.01 * draw.standard_normal(places.size)
-    found = last(read, forces).loading
-    low, high = (found.depth + side * found.width for side in (-0.5, 0.5))
-    fine = np.linspace(low, high, 500)
-    return found.value, found.sd, float(np.polyfit(fine, curve(fine), 1)[0])
+    found = last(read, curve(places) + 0.01 * draw.standard_normal(places.size)).loading
+    return found.value, found.sd, derivative(found.depth)
 
 
-@pytest.mark.parametrize("count", counts(1, 300))
-@pytest.mark.parametrize("shape", ["spring", "exponential"])
-def test_interval_holds_the_true_slope(shape, count):
-    curves = {"spring": lambda x: SPRING * x, "exponential": lambda x: 0.02 * np.exp(700.0 * x)}
-    found = np.array([noisy(seed, curves[shape]) for seed in range(count)])
+@pytest.mark.parametrize("count", counts(20, 300))
+@pytest.mark.parametrize("name", ["spring", "exponential"])
+def test_interval_holds_the_true_slope(name, count):
+    found = np.array([noisy(seed, name) for seed in range(count)])
     errors = (found[:, 0] - found[:, 2]) / found[:, 1]
     assert np.abs(errors).max() < 5.0
-    if count > 1:
-        assert 0.9 <= np.mean(np.abs(errors) < 1.96) <= 0.995
-        assert abs(np.median(errors)) < 0.4
+    assert np.mean(np.abs(errors) < 1.96) >= (0.9 if count > 20 else 0.8)
 
 
-def test_stated_noise_is_the_least_that_counts():
-    places = press()
-    quiet, noisy_one = (last(places, SPRING * places, noise=noise).loading for noise in (0, 0.01))
-    assert noisy_one.sd > 10.0 * quiet.sd
-    assert noisy_one.value == pytest.approx(SPRING, rel=1e-6)
+def test_slope_is_that_in_the_middle_of_a_window_where_the_end_is_not_known():
+    draw = np.random.default_rng(1)
+    places = way((0.005, 1.25))
+    found = last(places, CURVES["spring"][0](places) + 0.4 * draw.standard_normal(625)).loading
+    assert 0.001 < found.depth < 0.004
+    assert abs(found.value - SPRING) < 4.0 * found.sd < 4.0 * 0.25 * SPRING
 
 
 def test_slow_samples_are_enough():
@@ -164,50 +149,39 @@ def test_slow_samples_are_enough():
 
 def test_unloading_is_apart_from_loading():
     places = press()
-    turn = int(np.argmax(places))
-    forces = np.where(
-        np.arange(places.size) <= turn, SPRING * places, 1.5 + 450.0 * (places - 0.005)
-    )
-    found = last(places, forces)
+    is_before = np.arange(places.size) <= int(np.argmax(places))
+    found = last(places, np.where(is_before, SPRING * places, 1.5 + 450.0 * (places - 0.005)))
     assert found.loading.value == pytest.approx(SPRING, rel=1e-3)
     assert found.unloading.value == pytest.approx(450.0, rel=1e-3)
 
 
-def test_hold_is_no_motion():
-    """A relaxing force at rest, with noise of the displacement, is no slope."""
-    draw = np.random.default_rng(3)
-    places = way((0.005, 1.25), (0.005, 5.0))
-    forces = (
-        SPRING * places - 0.3 * np.clip(np.arange(places.size) / RATE - 1.25, 0.0, None) ** 0.5
-    )
-    read = places + 2e-6 * draw.standard_normal(places.size)
-    found = distinct([both.loading for both in slopes(read, forces)])
-    assert [one.value for one in found[10:]] == pytest.approx([SPRING] * len(found[10:]), rel=0.02)
-    assert found[-1].stamp_ns < START_NS + 1.3 * NANOSECONDS
+#: Motions whose last part is another: places, and the force at them.
+HOLD = way((0.005, 1.25), (0.005, 5.0))
+STEPS = way((0.003, 0.75), (0.003, 1.0), (0.005, 0.5))
+CREEP = way((0.0048, 1.2), (0.00495, 3.0))
+SECONDS = np.arange(0.0, 4.0, 1.0 / RATE)
+STROKES = np.r_[way((0.005, 1.25), (0.005, 1.0)), 0.005 + 2e-4 * np.sin(2.0 * np.pi * SECONDS)]
+AT_FORCE = np.r_[way((0.005, 1.25)), 0.005 + 1e-3 * np.log1p(SECONDS) / np.log(5.0)]
 
 
-def test_second_ramp_after_a_hold_is_measured_by_itself():
-    places = way((0.003, 0.75), (0.003, 1.0), (0.005, 0.5))
-    after = np.arange(places.size) / RATE > 1.75
-    forces = np.where(after, 0.7 + 500.0 * (places - 0.003), SPRING * places)
-    assert last(places, forces).loading.value == pytest.approx(500.0, rel=1e-3)
-
-
-def test_creeping_end_of_a_press_is_no_new_loading():
-    """The last 3 % of the way take longer than all before, and the tissue relaxes meanwhile."""
-    places = way((0.0048, 1.2), (0.00495, 3.0))
-    force = SPRING * np.minimum(places, 0.0048) + 60.0 * np.maximum(places - 0.0048, 0.0)
-    assert last(places, force).loading.value == pytest.approx(SPRING, rel=1e-3)
-
-
-def test_strokes_after_a_hold_are_measured():
-    seconds = np.arange(0.0, 4.0, 1.0 / RATE)
-    stroke = 0.005 + 2e-4 * np.sin(2.0 * np.pi * seconds)
-    places = np.concatenate([way((0.005, 1.25), (0.005, 1.0)), stroke])
-    forces = np.where(np.arange(places.size) / RATE < 2.25, SPRING, 500.0) * (places - 0.005)
-    found = last(places, forces)
-    assert found.loading.value == pytest.approx(500.0, rel=1e-3)
-    assert found.unloading.value == pytest.approx(500.0, rel=1e-3)
+@pytest.mark.parametrize(
+    ("places", "forces", "slope", "depth"),
+    [
+        (HOLD, SPRING * HOLD - 0.3 * np.arange(-625, 2500).clip(0) ** 0.5 / 20.0, SPRING, 0.005),
+        (STEPS, np.where(np.arange(1125) > 875, 500.0 * STEPS - 0.8, SPRING * STEPS), 500.0, 0.005),
+        # The last 3 % of the way take longer than all before, and the tissue relaxes meanwhile.
+        (CREEP, SPRING * np.minimum(CREEP, 48e-4) + 60.0 * (CREEP - 48e-4).clip(0), SPRING, 48e-4),
+        # A load that is held: the depth creeps by a millimetre.
+        (AT_FORCE, SPRING * np.minimum(AT_FORCE, 0.005), SPRING, 0.005),
+        (STROKES, np.where(np.arange(3125) < 1125, SPRING, 500.0) * (STROKES - 0.005), 500.0, 0.005),
+    ],
+    ids=["hold", "second ramp after a hold", "creeping end", "held load", "strokes after a hold"],
+)  # fmt: skip
+def test_loading_ends_where_the_force_no_longer_rises(places, forces, slope, depth):
+    read = places + 2e-6 * np.random.default_rng(3).standard_normal(places.size)
+    found = last(read, forces).loading
+    assert found.value == pytest.approx(slope, rel=0.03)
+    assert found.depth == pytest.approx(depth, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -230,60 +204,60 @@ def test_steps_of_an_encoder_are_no_turns():
     draw = np.random.default_rng(8)
     places = press()
     forces = SPRING * places + 0.002 * draw.standard_normal(places.size)
-    found = last(np.round(places / 5e-5) * 5e-5, forces)
-    assert found.loading.value == pytest.approx(SPRING, rel=0.03)
-    assert found.unloading.value == pytest.approx(SPRING, rel=0.03)
+    for found in last(np.round(places / 5e-5) * 5e-5, forces):
+        assert abs(found.value - SPRING) < 3.0 * found.sd < 0.3 * SPRING
 
 
 def test_long_run_takes_no_more_memory():
-    config = pipeline_config(check({}))
-    measured = MeasuredContacts(config)
-    counted = []
-    for count in range(40_000):
+    measured, counted = MeasuredSlopes(pipeline_config(check({}))), []
+    for count in range(20_000):
         place = count * 1e-5
         measured.add(Pair(0, START_NS + count * 2_000_000, SPRING * place, place, None))
-        if count in (10_000, 39_999):
-            counted.append(len(measured._meter._run.pieces()))
+        if count in (5_000, 19_999):
+            counted.append(measured._run.columns().shape[1])
     assert counted[1] <= counted[0] + 30 < 200
 
 
-def air_and_press(*, from_contact: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and force of a spring, touched at 0."""
-    if from_contact:
-        places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
-    else:
-        places = way((0.0, 1.0), (-0.002, 0.1), (0.005, 1.4), (0.005, 0.5), (-0.002, 1.4))
-        places = np.concatenate([places, np.full(500, -0.002)])
-    draw = np.random.default_rng(2)
-    read = places + 1e-6 * draw.standard_normal(places.size)
-    return read, SPRING * np.maximum(places, 0.0) + 1e-3 * draw.standard_normal(places.size)
-
-
 @functools.cache
-def pressed() -> list[Output]:
-    """Return what comes of a press from the air."""
-    return outputs_of(*air_and_press())[1]
+def pressed(at_once: int = 1) -> list[Output]:
+    """Return what comes of a press of a spring from the air, touched at 1 mm."""
+    places = way((0.0, 1.0), (-0.002, 0.1), (0.005, 1.4), (0.005, 0.5), (-0.002, 1.4))
+    places, draw = np.concatenate([places, np.full(500, -0.002)]), np.random.default_rng(2)
+    read = places + 1e-3 + 1e-6 * draw.standard_normal(places.size)
+    forces = SPRING * np.maximum(places, 0.0) + 1e-3 * draw.standard_normal(places.size)
+    return outputs_of(read, forces, at_once=at_once)[1]
+
+
+def summary() -> ContactSummary:
+    (found,) = (output for output in pressed() if isinstance(output, ContactSummary))
+    return found
 
 
 def test_contact_has_the_slopes_where_it_was_deepest():
-    outputs = pressed()
-    (summary,) = (output for output in outputs if isinstance(output, ContactSummary))
-    for found in summary.measured:
+    for found in summary().measured:
         assert abs(found.value - SPRING) < 4.0 * found.sd < 0.1 * SPRING
-        assert found.depth + 0.5 * found.width == pytest.approx(0.005, abs=1.5e-4)
-    states = states_of(outputs)
+        assert found.depth == pytest.approx(0.005, abs=1.5e-4)
+    states = states_of(pressed())
     assert any(state.measured.loading for state in states)
     # After the release there is nothing to press.
-    assert states[-1].status is Status.NO_CONTACT
-    assert states[-1].measured == NOT_MEASURED
+    assert states[-1].status is Status.NO_CONTACT and states[-1].measured == NOT_MEASURED
+
+
+@pytest.mark.parametrize("at_once", [7, 50])
+def test_how_samples_come_makes_no_difference(at_once):
+    alone, together = (
+        [(o.stamp_ns, repr(o.measured)) for o in outputs if isinstance(o, TissueState)]
+        for outputs in (pressed(), pressed(at_once))
+    )
+    assert alone == together
 
 
 def test_recording_that_begins_in_contact_is_measured():
-    pipeline, outputs = outputs_of(*air_and_press(from_contact=True))
-    newest = states_of(outputs)[-1].measured
-    found = newest.loading or pipeline.measured_unseen.loading
+    places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
+    forces = SPRING * places + 1e-3 * np.random.default_rng(2).standard_normal(places.size)
+    pipeline, outputs = outputs_of(places, forces)
+    found = states_of(outputs)[-1].measured.loading or pipeline.measured_unseen.loading
     assert abs(found.value - SPRING) < 4.0 * found.sd < 0.1 * SPRING
-    assert not any(isinstance(o, ContactSummary) and o.converged for o in outputs)
 
 
 def test_continuous_contact_is_measured():
@@ -292,42 +266,23 @@ def test_continuous_contact_is_measured():
     forces = SPRING * places - 7.0 + 1e-3 * np.random.default_rng(4).standard_normal(places.size)
     _, outputs = outputs_of(places, forces, **CONTINUOUS)
     states = [state.measured for state in states_of(outputs) if state.stamp_ns > 2 * START_NS]
-    assert all(both.loading is not None and both.unloading is not None for both in states)
-    for found in (found for both in states for found in both):
-        assert abs(found.value - SPRING) < 5.0 * found.sd
-        assert 4.0 * found.sd < found.value
-    assert np.median([both.loading.value for both in states]) == pytest.approx(SPRING, rel=0.01)
-    (summary,) = (output for output in outputs if isinstance(output, ContactSummary))
-    assert summary.measured.loading.value == pytest.approx(SPRING, rel=0.05)
-
-
-@pytest.mark.parametrize("at_once", [7, 50])
-def test_how_samples_come_makes_no_difference(at_once):
-    places, forces = air_and_press()
-    alone, together = (
-        [
-            (output.stamp_ns, output.measured)
-            for output in outputs
-            if isinstance(output, TissueState | ContactSummary)
-        ]
-        for outputs in (pressed(), outputs_of(places, forces, at_once=at_once)[1])
-    )
-    assert alone == together
+    found = [one for both in states for one in both]
+    assert all(one and abs(one.value - SPRING) < 5.0 * one.sd for one in found)
+    assert np.median([one.value for one in found]) == pytest.approx(SPRING, rel=0.01)
+    assert all(math.isnan(one.depth) for one in found)  # no surface is known
 
 
 def test_missing_samples_are_not_bridged():
     """The force's zero is another after a gap, as if a sensor had been switched off and on."""
-    places, forces = way((0.005, 1.25)), SPRING * way((0.005, 1.25))
-    keep = np.ones(places.size, dtype=bool)
-    keep[300:360] = False
     pipeline, outputs = begun(CONTINUOUS)
-    for count in np.flatnonzero(keep).tolist():
+    for count, place in enumerate(way((0.005, 1.25)).tolist()):
+        if 300 <= count < 360:
+            continue
         stamp_ns = START_NS + round(count / RATE * NANOSECONDS)
-        pipeline.add_displacement(stamp_ns, float(places[count]))
-        pipeline.add_force(stamp_ns, float(forces[count]) + (1.0 if count >= 360 else 0.0))
-    found = [state.measured.loading for state in states_of(outputs)]
-    values = [one.value for one in distinct(found)]
-    assert values == pytest.approx([SPRING] * len(values), rel=1e-6)
+        pipeline.add_displacement(stamp_ns, place)
+        pipeline.add_force(stamp_ns, SPRING * place + (1.0 if count >= 360 else 0.0))
+    values = [s.measured.loading.value for s in states_of(outputs) if s.measured.loading]
+    assert len(values) > 10 and values == pytest.approx([SPRING] * len(values), rel=1e-6)
 
 
 def test_nothing_that_is_published_is_infinite():
@@ -340,34 +295,15 @@ def test_nothing_that_is_published_is_infinite():
     ]
     for (places, forces), own in itertools.product(records, ({}, CONTINUOUS)):
         for output in outputs_of(places, forces, **own)[1]:
-            if not isinstance(output, TissueState | ContactSummary):
-                continue
-            for found in output.measured:
-                assert found is None or all(map(math.isfinite, found))
-                assert found is None or (found.value > 0.0 and found.sd >= 0.0)
+            for found in getattr(output, "measured", ()):
+                assert found is None or (found.value > 0.0 and math.isfinite(found.value))
+                assert found is None or 0.0 <= found.sd <= 0.25 * found.value
 
 
 def test_messages_hold_what_is_measured():
-    found = BothWays(
-        MeasuredStiffness(301.0, 2.0, 0.0045, 0.001, 1_500_000_001),
-        MeasuredStiffness(402.0, 3.0, 0.0043, 0.002, 2_500_000_001),
-    )
-    outputs = pressed()
-    state = states_of(outputs)[-1]
-    for both in (found, found._replace(unloading=None), found._replace(loading=None)):
+    slopes_known = MeasuredSlope(301.0, 2.0, 0.0045, 7), MeasuredSlope(402.0, 3.0, 0.0043, 9)
+    state = states_of(pressed())[-1]
+    for both in (Slopes(*slopes_known), Slopes(slopes_known[0]), Slopes(None, slopes_known[1])):
         again = state_of(estimate_message(replace(state, measured=both), "tool"))
         assert again.measured == both
-    (summary,) = (output for output in outputs if isinstance(output, ContactSummary))
-    assert summary_of(summary_message(summary, "tool")).measured == summary.measured
-
-
-def test_controller_has_what_is_measured_before_anything_converges():
-    outputs = pressed()
-    live = LiveTissue(deadline=0.1)
-    assert live.measured(0.0) == NOT_MEASURED
-    first = next(state for state in states_of(outputs) if state.measured.loading)
-    now = first.stamp_ns / NANOSECONDS
-    live.add(first, now)
-    assert live.reading(now) is None
-    assert live.measured(now) == first.measured
-    assert live.measured(now + 1.0) == NOT_MEASURED
+    assert summary_of(summary_message(summary(), "tool")).measured == summary().measured

@@ -36,7 +36,6 @@ from std_msgs.msg import Float64, String
 from fden_ros.control import Cause, LiveTissue, Refusal
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.law import FlatPunch
-from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ContactSummary,
     Flag,
@@ -49,6 +48,7 @@ from fden_ros.core.outputs import (
     stale,
 )
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.report.monitor import MonitorView, monitor_view, next_step
@@ -139,9 +139,9 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
         estimate=ESTIMATE,
         signals=Signals(0.2, 500.0, 400.0),
     )
-    slope = MeasuredStiffness(2619.7, 12.0, 0.005, 0.001, 0)
+    slope = MeasuredSlope(2619.7, 12.0, 0.005, 0.001, 0)
     unknown = ESTIMATE._replace(known=ParameterSet(0))
-    alone = replace(on_map(2), converged=False, estimate=unknown, measured=BothWays(slope))
+    alone = replace(on_map(2), converged=False, estimate=unknown, measured=Slopes(slope))
     view = MonitorView(
         "/identifier", state=state, age=0.01, rate=99.0, label="liver", gains="safe"
     )
@@ -408,7 +408,7 @@ def test_what_cannot_be_relied_on_is_refused_with_its_cause_and_flags(press, cha
 def test_stiffness_is_that_of_the_law_where_it_is_known_and_the_measured_slope_where_only_that_is(
     press,
 ):
-    slope = MeasuredStiffness(100.0, 5.0, 0.004, 0.001, 0)
+    slope = MeasuredSlope(100.0, 5.0, 0.004, 0.001, 0)
     by_slope, nothing = (100.0, 5.0, 0.004), None
     for flags, deviation, measured, expected in (
         (Flag.NONE, 0.1, slope, "law"),
@@ -427,7 +427,7 @@ def test_stiffness_is_that_of_the_law_where_it_is_known_and_the_measured_slope_w
             stamp_ns=round(then * NANOSECONDS),
             flags=flags,
             apparent_stiffness=known,
-            measured=BothWays(measured),
+            measured=Slopes(measured),
         )
         live.add(state, then)
         assert live.predictor(then) is None or not flags

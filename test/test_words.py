@@ -17,7 +17,6 @@ from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
 
-from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import (
@@ -35,6 +34,7 @@ from fden_ros.core.outputs import (
     Decision,
     Flag,
 )
+from fden_ros.core.stiffness import apparent_stiffness_of
 from fden_ros.offline.advice import shortfall
 from fden_ros.offline.remedies import WORDS
 from fden_ros.offline.rows import CORRELATIONS, contact_row

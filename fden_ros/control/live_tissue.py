@@ -20,8 +20,8 @@ from typing import NamedTuple
 from fden_ros.control.prediction import Predictor, TissueMemory
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
 from fden_ros.core.law import SHORTEST_STEP, Geometry
-from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
+from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
 
@@ -248,7 +248,7 @@ class LiveTissue:
                 return None
             return Stiffness(slope.value, slope.sd, slope.depth)
 
-    def measured(self, now: float | None = None) -> BothWays:
+    def measured(self, now: float | None = None) -> Slopes:
         """Return the slopes of force over displacement of the newest loading and unloading.
 
         As they are measured: no law, convergence or touch is needed. None of both while no

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from fden_ros.core.apparent_stiffness import apparent_stiffness_of
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
 from fden_ros.core.classification import Answer, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
@@ -33,6 +32,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site
+from fden_ros.core.stiffness import apparent_stiffness_of
 from fden_ros.core.streams import NANOSECONDS, force_at_limit
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
@@ -67,6 +68,8 @@ class ContactSession:
         """
         self._sites.forget()
         self._contact: Contact | None = None  # the newest
+        #: Place of the newest contact [m], not a number where none was seen, and force's bias [N].
+        self.surface = math.nan, 0.0
         self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
@@ -167,6 +170,7 @@ class ContactSession:
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
         self._tilt.see(newest.tilt)
+        self.surface = (onset.displacement if onset.seen else math.nan), onset.bias
         site = self._sites.of(onset, self._detector.left_unseen_ns)
         site.check_history(onset)
         self.contact_count += 1

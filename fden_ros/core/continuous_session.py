@@ -5,9 +5,8 @@
 
 Where it touched and what the tissue went through before is not known, so there is no strain, and
 no G. What an oscillation of the probe tells needs none: the stiffness dF/dd at its frequency,
-alpha by its phase, and with a flat geometry the complex modulus and, where the harmonics show that
-the stroke is beyond the boundary strain, Gn. The trend of each
-window takes up the bias of the force, relaxation, drift and the height of the surface.
+alpha by its phase, and with a flat geometry the complex modulus. The trend of each window takes up
+the bias of the force, relaxation, drift and the height of the surface.
 
 A *place* ends when the probe has moved on by `site_distance` to the side; each is a site with one
 contact, so summaries, map and table hold the path.
@@ -116,6 +115,7 @@ class ContinuousSession:
     #: No touch is looked for.
     in_contact = never_lifts = False
     air_events = (0, 0, False)
+    surface = (math.nan, 0.0)
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected
@@ -144,7 +144,6 @@ class ContinuousSession:
             LEAST_AMPLITUDE * config.geometry.length,
             config.apparent_stiffness_time_scale,
             config.estimator,
-            config.geometry.length if self._is_flat else None,
         )
         self._phase = PhaseMeter()
         self._start_ns: int | None = None

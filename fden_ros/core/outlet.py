@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-from fden_ros.core.measured_contacts import MeasuredContacts
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
+from fden_ros.core.stiffness import MeasuredSlopes
 
 
 class Outlet:
@@ -25,7 +25,7 @@ class Outlet:
     """
 
     def __init__(
-        self, emit: Callable[[Output], None], rejected: Counter[str], measured: MeasuredContacts
+        self, emit: Callable[[Output], None], rejected: Counter[str], measured: MeasuredSlopes
     ) -> None:
         self.emit = emit
         self._rejected, self._measured = rejected, measured

@@ -19,8 +19,8 @@ from fden_ros.core.estimation import (
     ParameterSet,
 )
 from fden_ros.core.law import ApparentStiffness as ApparentStiffness
-from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
 from fden_ros.core.oscillation import ComplexModulus
+from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import Position
 
 
@@ -102,7 +102,7 @@ class TissueState:
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
     lag: float = 0.0  #: from sample to estimate [s], as whoever has a clock states it
-    measured: BothWays = NOT_MEASURED  #: the newest slopes of force over displacement
+    measured: Slopes = NOT_MEASURED  #: the newest slopes of force over displacement
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class ContactSummary:
     #: What makes the estimate uncertain where it has not converged.
     budget: Budget | None = None
     #: Slopes of force over displacement where it was deepest; of a place on a path the newest.
-    measured: BothWays = NOT_MEASURED
+    measured: Slopes = NOT_MEASURED
     position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
 
     @property

@@ -18,11 +18,10 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
-from fden_ros.core.measured_contacts import MeasuredContacts
-from fden_ros.core.measured_stiffness import BothWays
 from fden_ros.core.outlet import Outlet
 from fden_ros.core.outputs import Failure, Flag, Output, failure_of
 from fden_ros.core.plausibility import stands_against
+from fden_ros.core.stiffness import MeasuredSlopes, Slopes
 from fden_ros.core.streams import (
     NANOSECONDS,
     GapGuard,
@@ -63,7 +62,7 @@ class Pipeline:
         self._statics = StaticLinks()
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._direction = Direction()
-        self._measured = MeasuredContacts(config)
+        self._measured = MeasuredSlopes(config)
         self._outlet = Outlet(emit, self.rejected, self._measured)
         self._restart_streams()
         self._session: ContactSession | ContinuousSession
@@ -106,7 +105,7 @@ class Pipeline:
         return self._session.in_contact
 
     @property
-    def measured_unseen(self) -> BothWays:
+    def measured_unseen(self) -> Slopes:
         """Slopes of force over displacement outside of any contact, where it was deepest."""
         return self._measured.unseen
 
@@ -255,7 +254,10 @@ class Pipeline:
             self._measured.add(pair)
             self._outlet.put(self._session.take(pair))
             session = self._session
-            self._measured.assign(session.contact_count, in_contact=session.in_contact)
+            surface, bias = session.surface
+            self._measured.assign(
+                session.contact_count, in_contact=session.in_contact, surface=surface, bias=bias
+            )
         except Exception as error:
             self._fail(pair.stamp_ns, error)
 

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fden_ros.core.estimation import KEYS, Budget, Estimate
-from fden_ros.core.measured_stiffness import NOT_MEASURED, BothWays
+from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.offline import thickness
 from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
@@ -27,9 +29,8 @@ _LOGGER = logging.getLogger(__name__)
 #: A progress bar moves by this many messages at once.
 _PROGRESS_STEP = 500
 
-#: Keys of the measured slopes, of loading and of unloading, and what is stated of each beside it.
-MEASURED_KEYS = ("measured_stiffness", "measured_stiffness_unloading")
-MEASURED_PARTS = ("sd", "depth")
+#: Keys of the measured slopes, of loading and of unloading.
+MEASURED_KEYS = ("measured_slope", "measured_slope_unloading")
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Replay:
     set_by_recording: tuple[str, ...] = ()  #: what of them those are, a line each
     failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
     #: Slopes of force over displacement where no contact was seen, and it was deepest.
-    measured_unseen: BothWays = NOT_MEASURED
+    measured_unseen: Slopes = NOT_MEASURED
     never_lifts: bool = False  #: the probe palpates, so that its contacts are strokes
     is_air_doubted: bool = False  #: the force fell below its value in the air
 
@@ -242,13 +243,14 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
     }
 
 
-def measured_object(measured: BothWays) -> dict[str, float | None]:
+def measured_object(measured: Slopes) -> dict[str, float | None]:
     """Return the measured slopes [N/m], their deviations and depths [m]; null: not known."""
     found: dict[str, float | None] = {}
     for name, slope in zip(MEASURED_KEYS, measured, strict=True):
-        found[name] = slope.value if slope is not None else None
-        for part in MEASURED_PARTS:
-            found[f"{name}_{part}"] = getattr(slope, part, None)
+        parts = slope or (None, None, math.nan)
+        depth = None if math.isnan(parts[2]) else parts[2]
+        for part, value in zip(("", "_sd", "_depth"), (*parts[:2], depth), strict=True):
+            found[f"{name}{part}"] = value
     return found
 
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from fden_ros.core.estimation import KEYS
 from fden_ros.core.outputs import ContactSummary
-from fden_ros.offline.replay import MEASURED_KEYS, MEASURED_PARTS, contact_object
+from fden_ros.offline.replay import MEASURED_KEYS, contact_object
 
 #: The columns, in their order. x, y, z: place of the touch [m] in `frame`; mean_nis: mean of the
 #: normalised innovation squared, 1 where model and noise are right. apparent_stiffness [N/m]: for
-#: a motion of its time scale [s] at the deepest point; measured_stiffness [N/m]: slope of force
+#: a motion of its time scale [s] at the deepest point; measured_slope [N/m]: slope of force
 #: over displacement at a depth [m]. Correlations: of ln G, ln Gn and alpha.
 COLUMNS: tuple[str, ...] = (
     "contact_id", "site", "start_ns", "end_ns", "x", "y", "z", "frame", "g", "g_sd", "g_n",
@@ -28,9 +28,7 @@ COLUMNS: tuple[str, ...] = (
     "converged_parameters", "prior_limit_parameters",
 )  # fmt: skip
 COLUMNS += tuple(key for key in KEYS if key not in COLUMNS)
-COLUMNS += tuple(
-    name for key in MEASURED_KEYS for name in (key, *(f"{key}_{part}" for part in MEASURED_PARTS))
-)
+COLUMNS += tuple(f"{key}{part}" for key in MEASURED_KEYS for part in ("", "_sd", "_depth"))
 
 #: Columns of several words.
 LISTS = ("flags", "observable_parameters", "converged_parameters", "prior_limit_parameters")

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from fden_ros.core.estimation import Estimate
-from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import ApparentStiffness
+from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.written import written
 
 DASH = "–"
@@ -83,23 +83,28 @@ def order(estimate: Estimate, *, with_deviation: bool = True) -> str:
     return text if estimate.determines(2) else f"({text})"
 
 
-def stiffness(found: ApparentStiffness | MeasuredStiffness | None, most_digits: int = 17) -> str:
+def stiffness(found: ApparentStiffness | MeasuredSlope | None, most_digits: int = 17) -> str:
     """Return the stiffness [N/m] as a result; a dash where there is none."""
     return DASH if found is None else result(found.value, found.sd, most_digits)
 
 
-def slope(found: MeasuredStiffness | None) -> str:
-    """Return a measured slope [N/m], to the first digit of its deviation; a dash: not known."""
+def slope(found: MeasuredSlope | None) -> str:
+    """Return a measured slope [N/m] and its depth [mm], to the first digit of its deviation."""
     if found is None:
         return DASH
     digits = 1 + math.floor(math.log10(found.value)) - math.floor(math.log10(found.sd))
-    return written(found.value, max(1, min(digits, 4)))
+    return written(found.value, max(1, min(digits, 4))) + _at(found, "")
 
 
-def measured_words(measured: BothWays) -> str:
+def _at(found: MeasuredSlope, unit: str) -> str:
+    """Return the depth of a slope in words; empty where it is not known."""
+    return "" if math.isnan(found.depth) else f" at {written(1e3 * found.depth, 2)}{unit}"
+
+
+def measured_words(measured: Slopes) -> str:
     """Return the measured slopes in words; empty where there is none."""
     words = (
-        f"{stiffness(found, 4)} N/m {way} at {written(1e3 * found.depth, 3)} mm"
+        f"{stiffness(found, 4)} N/m {way}{_at(found, ' mm')}"
         for way, found in zip(("loading", "unloading"), measured, strict=True)
         if found is not None
     )

@@ -19,7 +19,7 @@ from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
 _DIGITS = 4
 #: And of N/m, so that the table keeps to 80 columns.
 _STIFFNESS_DIGITS = 3
-_SLOPE = "slope: dF/dd in N/m as measured, half a window above the deepest point"
+_SLOPE = "slope: dF/dd in N/m as measured at the end of loading, at mm below the surface"
 
 
 def table_of(
@@ -63,7 +63,7 @@ def contact_table(
     shown = list(summaries)
     on_path = is_path(shown)
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
-    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope")
+    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope at mm")
     table = table_of(
         {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 8},
         rows,

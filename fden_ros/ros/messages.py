@@ -24,7 +24,6 @@ from fden_ros.core.estimation import (
     OtherLawKind,
     ParameterSet,
 )
-from fden_ros.core.measured_stiffness import BothWays, MeasuredStiffness
 from fden_ros.core.outputs import (
     ApparentStiffness,
     Classification,
@@ -39,11 +38,12 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
+from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.ros.inputs import stamp_ns
 
 #: Fields of the messages: of loading, of unloading.
-_MEASURED = ("measured_stiffness", "measured_stiffness_unloading")
+_MEASURED = ("measured_slope", "measured_slope_unloading")
 
 
 def to_stamp(nanoseconds: int) -> Time:
@@ -86,9 +86,9 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
         _fill_apparent_stiffness(message, state.apparent_stiffness)
     _fill_measured(message, state.measured)
     if state.measured.loading is not None:
-        valid |= TissueEstimate.VALID_MEASURED_STIFFNESS
+        valid |= TissueEstimate.VALID_MEASURED_SLOPE
     if state.measured.unloading is not None:
-        valid |= TissueEstimate.VALID_MEASURED_STIFFNESS_UNLOADING
+        valid |= TissueEstimate.VALID_MEASURED_SLOPE_UNLOADING
     message.valid = valid
     return message
 
@@ -183,12 +183,12 @@ def _fill_apparent_stiffness(
     message.apparent_stiffness_time_scale = stiffness.time_scale
 
 
-def _fill_measured(message: TissueEstimate | PalpationSummary, measured: BothWays) -> None:
+def _fill_measured(message: TissueEstimate | PalpationSummary, measured: Slopes) -> None:
     for name, found in zip(_MEASURED, measured, strict=True):
         if found is None:
             continue
         setattr(message, name, found.value)
-        for part in ("sd", "depth", "width"):
+        for part in ("sd", "depth"):
             setattr(message, f"{name}_{part}", getattr(found, part))
         setattr(message, f"{name}_time", to_stamp(found.stamp_ns))
 
@@ -296,18 +296,16 @@ def _apparent_stiffness_of(
     )
 
 
-def _measured_of(message: TissueEstimate | PalpationSummary) -> BothWays:
-    return BothWays(*(_slope_of(message, name) for name in _MEASURED))
+def _measured_of(message: TissueEstimate | PalpationSummary) -> Slopes:
+    return Slopes(*(_slope_of(message, name) for name in _MEASURED))
 
 
-def _slope_of(message: TissueEstimate | PalpationSummary, name: str) -> MeasuredStiffness | None:
+def _slope_of(message: TissueEstimate | PalpationSummary, name: str) -> MeasuredSlope | None:
     value = getattr(message, name)
     if not value:  # one that is known is above 0
         return None
-    sd, depth, width, time = (
-        getattr(message, f"{name}_{part}") for part in ("sd", "depth", "width", "time")
-    )
-    return MeasuredStiffness(value, sd, depth, width, stamp_ns(time))
+    sd, depth, time = (getattr(message, f"{name}_{part}") for part in ("sd", "depth", "time"))
+    return MeasuredSlope(value, sd, depth, stamp_ns(time))
 
 
 def _other_law_of(message: TissueEstimate | PalpationSummary) -> OtherLaw:

@@ -30,9 +30,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-ComplexArray = NDArray[np.complex128]
 
 #: Coefficients of the trend: a parabola takes up the relaxation of a hold over a window.
 _TREND = 3
@@ -73,13 +70,6 @@ class ComplexModulus(NamedTuple):
         """G by the magnitude [Pa s^alpha]: that of the tangent at the mean strain."""
         magnitude = math.hypot(self.storage, self.loss)
         return float(magnitude / self.angular_frequency**self.fractional_order)
-
-
-class Phasors(NamedTuple):
-    """What one window tells of each frequency, from the lowest on."""
-
-    strain: ComplexArray  #: (n,)
-    stress: ComplexArray  #: (n,)
 
 
 class ComplexModulusMeter:
@@ -133,8 +123,6 @@ class ComplexModulusMeter:
         self._signals = np.empty(2)
         self._start = self._stop = math.nan
         self._samples = 0
-        none = np.zeros(len(frequencies), dtype=complex)
-        self.phasors = Phasors(none, none)  #: of the newest window; zeros before it
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""
@@ -190,7 +178,6 @@ class ComplexModulusMeter:
         variances = left / dof
         sines = solution[_TREND:, 1]
         pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
-        self.phasors = Phasors(pairs[:, 0], pairs[:, 1])
         results = []
         for index, omega in enumerate(self.angular_frequencies):
             place = _TREND + 2 * index

@@ -154,32 +154,3 @@ def _estimate(
         at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
         sample_count=samples,
     )
-
-
-def with_nonlinearity(
-    found: Palpated, nonlinear_stiffness: float, log_sd: float, config: EstimatorConfig
-) -> Palpated:
-    """Return what palpation tells with a Gn [1] that it shows, of a standard deviation of ln Gn.
-
-    What is not known of the thickness counts too, and the prior as one more observation.
-    """
-    estimate, prior = found.estimate, config.prior
-    own = log_sd**2 + config.uncertainty.thickness_sd**2
-    gain = own / (own + float(prior.deviations[1]) ** 2)
-    value = math.log(nonlinear_stiffness)
-    covariance = estimate.covariance.copy()
-    covariance[1, 1] = (1.0 - gain) * own
-    valid = estimate.observable | ParameterSet.NONLINEAR_STIFFNESS
-    return found._replace(
-        estimate=estimate._replace(
-            log_nonlinear_stiffness=value + gain * (math.log(prior.nonlinear_stiffness) - value),
-            covariance=covariance,
-            probability_beyond_boundary=1.0,
-            observable=valid,
-            known=estimate.known
-            | (
-                converged(config, np.sqrt(covariance.diagonal()), valid)
-                & ParameterSet.NONLINEAR_STIFFNESS
-            ),
-        )
-    )

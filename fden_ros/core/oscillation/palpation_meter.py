@@ -12,8 +12,7 @@ from fden_ros.core.estimation import EstimatorConfig
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
 from fden_ros.core.oscillation.out_of_step import PhaseGrowth, leads_beyond_right_angle, sentence
-from fden_ros.core.oscillation.palpated_nonlinearity import HARMONICS, PalpatedNonlinearity
-from fden_ros.core.oscillation.palpation import Palpated, palpated, with_nonlinearity
+from fden_ros.core.oscillation.palpation import Palpated, palpated
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 #: Periods of a window, and harmonics that are fitted beside the trend: with one period, or
@@ -31,7 +30,7 @@ class Measured(NamedTuple):
 
 
 class PalpationMeter:
-    """Follows stiffness and alpha, and Gn where it shows, sample by sample.
+    """Follows stiffness and alpha, sample by sample.
 
     Parameters
     ----------
@@ -41,8 +40,6 @@ class PalpationMeter:
         Amplitude of the displacement [m] below which there is no palpation.
     time_scale : float
         tau of the apparent stiffness [s].
-    length : float or None
-        By which the displacement is a strain [m]; None: it is not, so there is no Gn.
     """
 
     def __init__(
@@ -51,7 +48,6 @@ class PalpationMeter:
         least_amplitude: float,
         time_scale: float,
         config: EstimatorConfig,
-        length: float | None = None,
     ) -> None:
         self._stated = frequency
         self._least_amplitude = least_amplitude
@@ -59,11 +55,7 @@ class PalpationMeter:
         self._config = config
         self._finder = PalpationFrequency()
         self._stiffness = LocalStiffness()
-        self._length = length
-        self._nonlinearity = PalpatedNonlinearity()
         self._meter: ComplexModulusMeter | None = None
-        self._harmonics: ComplexModulusMeter | None = None
-        self._has_harmonics = False  # of a window that was not looked at yet
         self._frequency = 0.0
         self._found: Palpated | None = None
         self._found_time = 0.0
@@ -82,9 +74,8 @@ class PalpationMeter:
 
     def skip(self) -> None:
         """Begin the window anew: samples are missing."""
-        for meter in (self._meter, self._harmonics):
-            if meter is not None:
-                meter.reset()
+        if self._meter is not None:
+            self._meter.reset()
 
     def add(self, time: float, displacement: float, force: float) -> Measured | None:
         """Take a sample; return what the window tells that ended before it, if one did.
@@ -94,16 +85,12 @@ class PalpationMeter:
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value
         if frequency is None:
-            self._meter = self._harmonics = None
+            self._meter = None
             return None
         if self._meter is None or frequency != self._frequency:
             tones = [frequency * harmonic for harmonic in _HARMONICS]
             self._meter = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
-            tones = [frequency * harmonic for harmonic in HARMONICS]
-            self._harmonics = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
             self._frequency = frequency
-        if self._length is not None and self._harmonics is not None:
-            self._has_harmonics |= bool(self._harmonics.add(time, displacement, force))
         for modulus in self._meter.add(time, displacement, force):
             if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
                 self._found = self._learn(modulus)
@@ -129,25 +116,11 @@ class PalpationMeter:
             grows=self._phases.grows(self._config.uncertainty),
         )
         if found is not None and found.apparent is not None:
-            return self._with_nonlinearity(found)
+            return found
         leads = value.value.imag > 0.0 and found is not None
         if leads or leads_beyond_right_angle(value):
             self.out_of_step = self.out_of_step or sentence(value.value, frequency)
         return found
-
-    def _with_nonlinearity(self, found: Palpated) -> Palpated:
-        """Return what was found, with Gn where the harmonics show it."""
-        if self._length is None or self._harmonics is None:
-            return found
-        if self._has_harmonics:
-            self._has_harmonics = False
-            self._nonlinearity.add(self._harmonics.phasors, found.estimate.fractional_order)
-        shown = self._nonlinearity.value(found, self._config.uncertainty)
-        if shown is None:
-            return found
-        return with_nonlinearity(
-            found, self._length * shown.value, shown.sd / shown.value, self._config
-        )
 
     def current(self, time: float) -> Palpated | None:
         """Return what is known at a time [s]; None where the last window is too long ago."""

@@ -1,0 +1,331 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+r"""Stiffness in N/m: by the law of an estimate, and as the slope that is measured.
+
+The *measured slope* is dF/dd at the end of loading, and at the beginning of unloading (S of Oliver
+and Pharr, Journal of Materials Research 7, 1564, 1992). It needs no law, touch or zero. A *run* is
+motion in one direction, kept as pieces of the way, the newest the finest. The slope is that of a
+parabola through a window at the run's end, evaluated at that end: of the narrowest window whose
+standard error is 2 % of the slope, else of the least. The standard error has what a cubic makes of
+the slope in it. Where the end itself is not known, the slope is that in the middle of a window.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit
+
+from fden_ros.core.arrays import Array
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.estimation import Estimate, log_stiffness
+from fden_ros.core.law import ApparentStiffness, Geometry, log_stiffness_at
+from fden_ros.core.streams import NANOSECONDS, Pair
+
+#: Least length of a piece [m], also as a part of the probe's length, and in deviations of the
+#: displacement's noise; pieces of one length before the two oldest are joined.
+_LEAST_PIECE, _LEAST_PIECE_PART, _PIECE_DEVIATIONS, _PER_LEVEL = 5e-6, 2.5e-4, 4.0, 10
+#: Least pieces of a window, its least part of the force's change in the run, and in the last run
+#: where this one goes on with it; ratio of two windows.
+_LEAST_PIECES, _LEAST_PART, _LEAST_OF_LAST, _WIDER = 8, 0.1, 0.25, 1.4
+#: Standard error over the slope from which on a window is wide enough, and up to which it is
+#: known; the window's change of force is at least 3 deviations of the noise.
+_FINE, _KNOWN, _LEAST_RISE = 0.02, 0.25, 3.0
+#: Loading ends where the probe slows down to a third of the speed at which the force rose, a run
+#: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
+_SLOW, _REST, _DUE = 1.0 / 3.0, 8.0, 0.125
+#: Standard deviation of white noise over the mean magnitude of its third differences.
+_THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
+#: Largest correlation of neighbouring residuals, and largest deviation of ln N/m by the law.
+_MOST_CORRELATED, _MOST_SPREAD = 0.8, 0.5
+
+
+def apparent_stiffness_of(
+    estimate: Estimate | None, geometry: Geometry, u: float | None, stress: float, time: float
+) -> ApparentStiffness | None:
+    """Return N/m at an indentation ratio u [1] and stress [Pa] for a motion of `time` seconds.
+
+    None while it is not known to half of its value.
+    """
+    if estimate is None or u is None:
+        return None
+    if estimate.small_motions:
+        found = log_stiffness(estimate.small_motions, u, stress, time)
+    else:
+        covariance = np.zeros((4, 4))
+        covariance[:3, :3] = estimate.covariance
+        covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
+        covariance[3, 3] = estimate.contact_point_sd**2
+        own = u - estimate.contact_point
+        found = log_stiffness_at(estimate.mean, covariance, geometry, own, time)
+    if found is None or found[1] > _MOST_SPREAD**2 or found[0] > 50.0:
+        return None
+    value = math.exp(found[0])
+    return ApparentStiffness(value, value * math.sqrt(found[1]), time)
+
+
+class MeasuredSlope(NamedTuple):
+    """Slope of force over displacement in one direction."""
+
+    value: float  #: dF/dd [N/m]
+    sd: float  #: its standard deviation [N/m]
+    depth: float  #: where it is, below the surface [m]; not a number: no touch was seen
+    stamp_ns: int  #: when the probe was there
+
+
+class Slopes(NamedTuple):
+    """At the end of loading, and at the beginning of unloading; None: not known."""
+
+    loading: MeasuredSlope | None = None
+    unloading: MeasuredSlope | None = None
+
+    def below(self, surface: float) -> Slopes:
+        """Return the slopes with depths from a surface [m] on."""
+        return Slopes(*(one and one._replace(depth=one.depth - surface) for one in self))
+
+    def deepest(self, new: Slopes) -> Slopes:
+        """Return of each direction the deepest, the new one where both are."""
+        pairs = zip(self, new, strict=True)
+        return Slopes(*(b if not a or (b and b.depth >= a.depth) else a for a, b in pairs))
+
+
+NOT_MEASURED = Slopes()
+
+
+class _Run:
+    """Motion in one direction from a place [m] on; `sign` is 1 into the tissue."""
+
+    def __init__(self, sign: float, start: float, stamp_ns: int, length: float) -> None:
+        self.sign, self.start, self.length, self.start_ns = sign, start, length, stamp_ns
+        self.width = self.duration = self.due_width = 0.0
+        self.levels: list[deque[Array]] = [deque()]
+        self._open(0.0, stamp_ns)
+
+    def _open(self, way: float, stamp_ns: int) -> None:
+        self.open_way, self._open_ns = way, stamp_ns
+        self._sums, self._count = np.zeros(4), 0
+
+    def add(self, stamp_ns: int, way: float, force: float) -> bool:
+        """Take a sample; return whether a piece has been closed."""
+        self._sums += (way, way * way, way**3, self.sign * force)
+        self._count += 1
+        width = self.length * math.floor((way - self.open_way) / self.length)
+        if width <= 0.0:
+            return False
+        duration = (stamp_ns - self._open_ns) / NANOSECONDS
+        time = (stamp_ns - self.start_ns) / NANOSECONDS - 0.5 * duration
+        piece = np.array([width, duration, time, *self._sums / self._count, 1.0 / self._count])
+        is_first = self.open_way == 0.0  # it may hold the rest, or the turn, from before
+        self._open(self.open_way + width, stamp_ns)
+        if is_first:
+            return False
+        self.width, self.duration = self.width + width, self.duration + duration
+        for level in self.levels:
+            level.append(piece)
+            if len(level) <= _PER_LEVEL:
+                return True
+            piece = _joined(level.popleft(), level.popleft())
+        self.levels.append(deque([piece]))
+        return True
+
+    def rests(self, stamp_ns: int) -> bool:
+        """Whether the present piece takes so long that the probe is at rest."""
+        elapsed = (stamp_ns - self._open_ns) / NANOSECONDS
+        return elapsed * self.width > _REST * self.duration * self.length > 0.0
+
+    def columns(self) -> Array:
+        """Return pieces from the end that is measured: a row for each number of a piece.
+
+        Width, duration, time, means of way, its square, its cube and force, variance of the force.
+        """
+        pieces = np.array([p for level in self.levels for p in reversed(level)]).reshape(-1, 8).T
+        if self.sign < 0.0 or pieces.shape[1] < 2:
+            return pieces[:, ::-1]
+        speeds = pieces[0] / np.maximum(pieces[1], 1.0 / NANOSECONDS)
+        rises = pieces[6, :-1] - pieces[6, 1:]
+        pace = float(rises @ speeds[:-1]) / max(float(rises.sum()), sys.float_info.min)
+        return pieces[:, int(np.argmax(speeds >= _SLOW * pace)) :]
+
+
+def _joined(a: Array, b: Array) -> Array:
+    own = a[0] / (a[0] + b[0])
+    piece: Array = own * a + (1.0 - own) * b
+    piece[:2], piece[7] = a[:2] + b[:2], own**2 * a[7] + (1.0 - own) ** 2 * b[7]
+    return piece
+
+
+class _Window(NamedTuple):
+    slope: float  #: [N/m]
+    sd: float  #: [N/m]
+    way: float  #: of the place that it is of [m]
+    width: float  #: [m]
+    is_known: bool
+
+
+def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window]:
+    """Return the slopes at the end of a window on a `side` (1, -1), and in its middle."""
+    weights, _, _, ways, squares, cubes, forces, variances = columns
+    width = float(weights.sum())
+    half, middle = 0.5 * width, float(weights @ ways) / width
+    # Means over the pieces of the powers of the distance from the middle, in halves.
+    third = (cubes - 3.0 * middle * squares + 3.0 * middle**2 * ways - middle**3) / half**3
+    second = (squares - 2.0 * middle * ways + middle**2) / half**2
+    design = np.stack([np.ones_like(ways), (ways - middle) / half, second, third], axis=1)
+    weighted = (weights[:, None] * design).T
+    normal = weighted @ design
+    parabola, cubic = (np.linalg.pinv(normal[:n, :n]) @ weighted[:n] for n in (3, 4))
+    scaled = (forces - design @ (cubic @ forces)) / np.sqrt(variances)
+    total, freedom = float(scaled @ scaled), len(forces) - 4
+    lagged = float(scaled[1:] @ scaled[:-1]) / max(total, sys.float_info.min)
+    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    variance = max(total / freedom * (1.0 + correlated) / (1.0 - correlated), noise**2)
+    student = float(stdtrit(freedom, 0.975)) / 1.959964  # of the normal distribution
+
+    def at(place: float) -> _Window:
+        gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
+        line = gradient[:3] @ parabola
+        bend = line - gradient @ cubic
+        own = student**2 * variance * float(line**2 @ variances)
+        sd = math.sqrt(own + float(bend @ forces) ** 2)
+        slope = float(line @ forces)
+        is_known = _KNOWN * slope >= sd and slope * width >= _LEAST_RISE * math.sqrt(variance)
+        return _Window(slope, sd, middle + place * half, width, is_known)
+
+    return at(side), at(0.0)
+
+
+def _best(columns: Array, side: float, least_change: float, noise: float) -> _Window | None:
+    """Return the slope at the end from which the columns begin; None: it is not known."""
+    widths, count, last = np.cumsum(columns[0]), _LEAST_PIECES, columns.shape[1]
+    found: tuple[list[_Window], list[_Window]] = ([], [])
+    while count <= last:
+        change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
+        if count == last or change >= max(least_change, _LEAST_RISE * noise):
+            windows = _window(columns[:, :count], side, noise)
+            if windows[0].is_known and windows[0].sd <= _FINE * windows[0].slope:
+                return windows[0]
+            for kept, one in zip(found, windows, strict=True):
+                kept += [one] * one.is_known
+        wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
+        count = last if count < last < wider else max(wider, count + 1)
+    return min(found[0] or found[1], key=lambda one: one.sd, default=None)
+
+
+class MeasuredSlopes:
+    """Measures the slopes sample by sample, and keeps those of the newest contacts.
+
+    A press has those where it was deepest, a place on a path the newest.
+    """
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._contact, self._is_continuous = config.contact, config.is_continuous
+        self._noise = max(config.contact.force_noise, config.contact.noise_floor)
+        self._least_piece = min(_LEAST_PIECE, _LEAST_PIECE_PART * config.geometry.length)
+        self._unseen, self._surface, self._was_in_contact = NOT_MEASURED, math.nan, False
+        #: Of three contacts, as the summary of one may come in the next: slopes and surface [m].
+        self._found: dict[int, tuple[Slopes, float]] = {}
+        self.forget()
+
+    @property
+    def newest(self) -> Slopes:
+        """The newest slopes."""
+        return self._newest.below(self._surface)
+
+    @property
+    def unseen(self) -> Slopes:
+        """Those of motion outside of any contact where it was deepest."""
+        return self._unseen.below(math.nan)
+
+    def of(self, contact_id: int) -> Slopes:
+        """Return what was measured of a contact."""
+        slopes, surface = self._found.get(contact_id, (NOT_MEASURED, math.nan))
+        return slopes.below(surface)
+
+    def forget(self) -> None:
+        """Forget the motion so far: the clock, or the place, is another."""
+        self._newest = NOT_MEASURED
+        self._run: _Run | None = None
+        self._change = self._sign = 0.0  # of the force in the last run [N], and its direction
+        self._roughness, self._last = 0.0, deque[float](maxlen=4)
+
+    def skip(self) -> None:
+        """Begin a new run: samples are missing, or the force's zero is another."""
+        self._finish()
+        self._last.clear()
+
+    def add(self, pair: Pair) -> None:
+        """Take a sample, before the contact that it is of is known."""
+        # The bias of the force moves all places by what `assign` takes off the surface.
+        stamp_ns, place = pair.stamp_ns, self._contact.compliance_free(pair, pair.force)
+        self._last.append(place)
+        if len(self._last) == 4:
+            a, b, c, d = self._last
+            size = abs(d - a + 3.0 * (b - c)) * _THIRD_DIFFERENCE
+            self._roughness += (size - self._roughness) / 64.0
+        length = max(self._least_piece, _PIECE_DEVIATIONS * self._roughness)
+        run = self._run = self._run or _Run(1.0, place, stamp_ns, length)
+        way = run.sign * (place - run.start)
+        has_turned = way < run.open_way - run.length
+        has_grown = not has_turned and run.add(stamp_ns, way, pair.force)
+        if has_turned or run.rests(stamp_ns):
+            self._finish()
+            self._run = _Run(-run.sign if has_turned else run.sign, place, stamp_ns, length)
+        elif has_grown and run.width >= run.due_width:
+            self._measure(run)
+
+    def assign(self, contact_id: int, *, in_contact: bool, surface: float, bias: float) -> None:
+        """Assign what is known after a sample to the contact that the sample is of.
+
+        `surface` of the contact [m], not a number where it was not seen, and `bias` of the force.
+        """
+        self._surface = surface - self._contact.series_compliance * bias
+        if in_contact or self._is_continuous:
+            kept = self._found.pop(contact_id, (NOT_MEASURED, 0.0))[0]
+            slopes = self._newest if self._is_continuous else kept.deepest(self._newest)
+            self._found[contact_id] = slopes, self._surface
+            if len(self._found) > 3:
+                del self._found[min(self._found)]
+        elif self._was_in_contact:
+            self.forget()
+        else:
+            self._unseen = self._unseen.deepest(self._newest)
+        self._was_in_contact = in_contact
+
+    def _finish(self) -> None:
+        run, self._run = self._run, None
+        if run is not None and run.width:
+            change = self._measure(run)
+            self._change = max(change, self._change if self._sign == run.sign else 0.0)
+            self._sign = run.sign
+
+    def _measure(self, run: _Run) -> float:
+        """Measure a run as it is by now; return the change of its force [N]."""
+        run.due_width = run.width * (1.0 + _DUE)
+        columns = run.columns()
+        if columns.shape[1] < _LEAST_PIECES:
+            return 0.0
+        change = abs(float(columns[6, :3].mean() - columns[6, -3:].mean()))
+        # What a creeping probe has left in one direction is no loading of its own.
+        part = _LEAST_OF_LAST if run.sign == self._sign else _LEAST_PART * (run.sign < 0.0)
+        least = max(_LEAST_PART * change, part * self._change)
+        found = _best(columns, run.sign, least, self._noise) if change >= least else None
+        if found is None:
+            return change
+        run.due_width = run.width + _DUE * found.width
+        first = columns[:3, 0]
+        way = run.sign * (columns[3, 0] - found.way) + 0.5 * first[0]
+        elapsed = np.interp(way, np.cumsum(columns[0]), np.cumsum(columns[1]), left=0.0)
+        time = first[2] + run.sign * (0.5 * first[1] - elapsed)
+        stamp_ns = run.start_ns + round(float(time) * NANOSECONDS)
+        slope = MeasuredSlope(found.slope, found.sd, run.start + run.sign * found.way, stamp_ns)
+        before = self._newest.unloading
+        if run.sign > 0.0:
+            self._newest = self._newest._replace(loading=slope)
+        elif before is None or before.stamp_ns < run.start_ns or slope.sd < before.sd:
+            self._newest = self._newest._replace(unloading=slope)
+        return change
