@@ -178,18 +178,6 @@ def test_pure_noise_is_no_contact():
     assert detector.mean_air_force() == pytest.approx(0.2, abs=1e-3)
 
 
-@pytest.mark.parametrize(("advances", "counted"), [(True, True), (False, False)])
-def test_a_slow_press_of_the_wrong_sign_is_counted_and_a_drift_is_not(advances, counted):
-    """The baseline follows a force that falls for half a minute."""
-    seconds = np.arange(0.0, 33.0, 0.01)
-    depth = np.maximum(seconds - 3.0, 0.0) / 30.0
-    force = 5e-3 * np.random.default_rng(1).standard_normal(seconds.size) - 0.3 * depth
-    displacement = 0.005 * (depth if advances else -depth)
-    detector, events = events_of(made(force, displacement, 100.0))
-    assert not events
-    assert (detector.below_baseline > 0) == counted
-
-
 def test_a_drift_that_no_contact_comes_of_is_counted_once():
     rng = np.random.default_rng(14)
     force = 0.01 * rng.standard_normal(8000)

@@ -168,12 +168,12 @@ AT_FORCE = np.r_[way((0.005, 1.25)), 0.005 + 1e-3 * np.log1p(SECONDS) / np.log(5
     ("places", "forces", "slope", "depth"),
     [
         (HOLD, SPRING * HOLD - 0.3 * np.arange(-625, 2500).clip(0) ** 0.5 / 20.0, SPRING, 0.005),
-        (STEPS, np.where(np.arange(1125) > 875, 500.0 * STEPS - 0.8, SPRING * STEPS), 500.0, 0.005),
+        (STEPS, SPRING * STEPS + 200.0 * (STEPS - 0.003).clip(0), 500.0, 0.005),
         # The last 3 % of the way take longer than all before, and the tissue relaxes meanwhile.
         (CREEP, SPRING * np.minimum(CREEP, 48e-4) + 60.0 * (CREEP - 48e-4).clip(0), SPRING, 48e-4),
         # A load that is held: the depth creeps by a millimetre.
         (AT_FORCE, SPRING * np.minimum(AT_FORCE, 0.005), SPRING, 0.005),
-        (STROKES, np.where(np.arange(3125) < 1125, SPRING, 500.0) * (STROKES - 0.005), 500.0, 0.005),
+        (STROKES, np.r_[SPRING * STROKES[:1125], 500.0 * STROKES[1125:] - 1], 500.0, 0.005),
     ],
     ids=["hold", "second ramp after a hold", "creeping end", "held load", "strokes after a hold"],
 )  # fmt: skip

@@ -56,19 +56,6 @@ def test_a_press_is_the_same_tissue_in_any_size(peak: str, size: float, stress: 
     assert slope.value / (size * stress) == pytest.approx(33.5, rel=0.04)
 
 
-@pytest.mark.parametrize("size", [1e-3, 1e-5])
-def test_a_floor_that_hides_a_press_is_said_with_one_that_does_not(size: float) -> None:
-    pipeline, found = scaled(size)
-    assert not found
-    (words,) = (one for one in pipeline.warnings if "hides presses" in one)
-    floor = re.search(r"noise_floor: (\S+)}", words)
-    assert floor is not None
-    # A floor that hides nothing is not spoken of.
-    for seen, own in ((size, {"force__noise_floor": float(floor[1])}), (0.1, {})):
-        pipeline, (summary,) = scaled(seen, **own)
-        assert summary.converged and not pipeline.warnings
-
-
 def test_a_micro_indenter_s_table_in_nanonewtons_and_nanometres_works_end_to_end(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
-from fden_ros.core.contact import ContactDetector, Onset, Release, least_noise
+from fden_ros.core.contact import ContactDetector, Onset, Release
 from fden_ros.core.outputs import (
     Flag,
     Output,
@@ -109,18 +109,7 @@ class ContactSession:
             **self._common.plausibility.found,
             self._tilt.words: self._tilt.count,
             strokes.warning: 1,
-            self._floor_warning: 1,
         }
-
-    @property
-    def _floor_warning(self) -> str:
-        own, floor = self._detector.hidden_above, self._config.contact.noise_floor
-        if not own:
-            return ""
-        return (
-            f"force.noise_floor ({floor:.1g} N) hides presses: the air's own noise is {own:.1g} N"
-            f"; write force: {{noise_floor: {least_noise(own):.0e}}}"
-        )
 
     @property
     def never_lifts(self) -> bool:

@@ -224,16 +224,11 @@ _ENOUGH_CHUNKS = 12
 SLOW_NS = NANOSECONDS
 #: Bias and noise are measured anew after every 8 chunks.
 _AIR_EVERY = 8
-#: From half of what is a contact on, a slow one may be on: the baseline stands still and the air
-#: is remembered for 4 times the lookback.
+#: From half of what is a contact on, a slow one may be on, and the baseline stands still.
 _SUSPICION = 0.5
-_SLOW_LOOKBACKS = 4
 #: What swings, as a vibrating arm does, is no contact: that rises above the bias by 2.2 times as
 #: far as means over the same time fell below it in the lookback, so that no trough ends it.
 _SWING_FACTOR = 2.2
-#: How far the bias wanders after it was measured is a mean over so many looks, 8 chunks apart: a
-#: minute of chunks of 20 ms. So many that showed nothing are taken to lie before the first.
-_REMEMBERED_WANDER, _UNSEEN_WANDER = 375, 60
 #: From 4 standard deviations on a sample clearly is not the air's, the noise counts as coloured
 #: (by how far the variance of the chunks' means exceeds that of white noise), and a trend of the
 #: force in the air as drift.
@@ -247,8 +242,7 @@ _ROUNDING, _DITHER = 12.0**-0.5, 0.6
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
 
-    Chunks older than the lookback, and than 24 chunks last, are forgotten; than 4 times that while
-    a slow contact may be on.
+    Chunks older than the lookback, and than 24 chunks last, are forgotten.
     """
 
     def __init__(self, config: ContactConfig) -> None:
@@ -258,9 +252,6 @@ class Baseline:
         #: until the first release, after which adhesion or drift may hold the force above it.
         self.is_measured = config.measure_bias
         self._thresholds: Array = np.zeros(len(SCALES))  # of contact [N]
-        self._rises: Array = np.zeros(0)  # of the newest means above the bias [N]
-        self._expected = 0.0  # variance of the longest of them [N^2]
-        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER  # what it exceeds that by [N^2]
         self.is_suspected = False  #: a slow contact may be on
         self._chunks: deque[Chunk] = deque()
         self._count = 0
@@ -284,8 +275,7 @@ class Baseline:
     def reach_ns(self) -> int:
         """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
         stated_ns = round(self._config.lookback * NANOSECONDS)
-        reach_ns = max(stated_ns, 2 * _ENOUGH_CHUNKS * self._chunk_ns)
-        return reach_ns * (_SLOW_LOOKBACKS if self.is_suspected else 1)
+        return max(stated_ns, 2 * _ENOUGH_CHUNKS * self._chunk_ns)
 
     def mean(self) -> float | None:
         """Return the mean of the chunks [N]; None while there are fewer than 5."""
@@ -306,28 +296,17 @@ class Baseline:
             self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
         self._count += 1
-        if self._count % _AIR_EVERY == 0 and self._rises.size == len(SCALES):
-            self._learn_wander(float(self._rises[-1]))
         while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
             chunks.popleft()
 
-    def _learn_wander(self, rise: float) -> None:
-        """Take a mean over the longest time above the bias [N]; a contact's is none of the air."""
-        if abs(rise) < _SUSPICION * self._thresholds[-1]:
-            self._wander_count = min(self._wander_count + 1, _REMEMBERED_WANDER)
-            self._wander += (rise**2 - self._expected - self._wander) / self._wander_count
-
     def noise_of(self, air: Air) -> float:
         """Return the noise per sample that is tested against [N]."""
-        return self._config.force_noise or max(self.own_noise_of(air), self._config.noise_floor)
-
-    def own_noise_of(self, air: Air) -> float:
-        """Return the noise per sample that the air shows, rounding included [N]."""
-        return max(air.fast_noise, self._rounding)
+        own = max(air.fast_noise, self._rounding)
+        return self._config.force_noise or max(own, self._config.noise_floor)
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""
-        rises = self._rises = self._rises_with(chunk)
+        rises = self._rises_with(chunk)
         limits = self._thresholds[: rises.size]
         best = int(np.argmax(rises / limits))
         rise, limit, scale = float(rises[best]), float(limits[best]), SCALES[best]
@@ -392,9 +371,7 @@ class Baseline:
         step = self.resolution.step
         is_dithered = self._config.force_noise or air.fast_noise >= _DITHER * step
         rounding = 0.0 if is_dithered else self._rounding
-        self._expected = float(sd[-1]) ** 2 + self._trend.sd**2
-        wander = max(self._wander, 0.0)
-        sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2 + wander)
+        sd = np.sqrt(sd**2 + self._trend.sd**2 + rounding**2)
         least: Array = -stdtrit(freedom, _CHANCE) * sd
         if not self.is_measured:
             # A longer mean tells no better whether the bias is what it is said to be.
@@ -440,9 +417,8 @@ class Baseline:
             chunks.pop()
 
     def forget_all_but(self, count: int) -> None:
-        """Drop all chunks but the newest `count`, and what was learned against a false bias."""
+        """Drop all chunks but the newest `count`."""
         recent = tuple(self._chunks)[-count:] if count else ()
-        self._wander, self._wander_count = 0.0, _UNSEEN_WANDER
         self._air = None
         self._chunks.clear()
         self._chunks.extend(recent)

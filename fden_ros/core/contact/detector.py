@@ -31,7 +31,6 @@ from fden_ros.core.contact.air import ContactConfig as ContactConfig
 from fden_ros.core.contact.approach import Approach
 from fden_ros.core.contact.release import ReleaseDetector
 from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
-from fden_ros.core.contact.watches import Below, Fall, Hidden
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: What lasts no longer than this before the first contact may be a press as well as the air [ns]:
@@ -41,6 +40,8 @@ _LEAST_AIR_NS = 100_000_000
 #: line in time does is a drift. One that may still grow is given time up to 200: what is seen
 #: longer tells the surface better.
 MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
+#: After 10 chunks in a row below the bias by more than the threshold the bias is another.
+_BELOW_CHUNKS = 10
 #: A rise is looked at again when it has lasted for a tenth longer, or has fallen by 30 %.
 RETRY, _OVER = 0.1, 0.7
 #: Such a rise was a drift when it lasted for 2 chunks, is over, and a slow contact would have been
@@ -103,8 +104,6 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.has_seen_air = False  #: whether a contact began or ended in the air
-        #: The air's own noise per sample [N] where the floor hid a press; 0: it hid none.
-        self.hidden_above = 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -121,7 +120,7 @@ class ContactDetector:
         self._rise = _Rise()
         self._doubted_ns: int | None = None
         self._doubted_chunks = 0
-        self._below, self._fall, self._hidden = Below(), Fall(), Hidden()
+        self._below = 0  # chunks in a row below the baseline
 
     def mean_air_force(self) -> float | None:
         """Return the mean force of the last chunks in the air [N]; None in contact or before 5."""
@@ -177,18 +176,15 @@ class ContactDetector:
                     excess = Excess(1.0, clear, 1)
                 onset = self._onset(approach, bias, noise, clear)
                 return self._begun(onset, clear, excess)
-        self._watch_floor(chunk, baseline.own_noise_of(air), bias)
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
         self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
         baseline.is_suspected = not self._rise.is_doubted and baseline.is_rising(chunk)
         baseline.keep(chunk)
         is_below = baseline.is_measured and chunk.mean - bias < -beyond_noise
-        if self._below.add(is_below=is_below):
+        self._below = self._below + 1 if is_below else 0
+        if self._below == _BELOW_CHUNKS:
             self._forget_baseline()
-        if self._samples and self._fall.add(chunk, self._samples[-1].displacement, clear):
-            # It is not taken for anything else.
-            self.below_baseline += 1
         return None
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
@@ -228,22 +224,9 @@ class ContactDetector:
             # The chunks before were a contact, or the force has the wrong sign.
             self.below_baseline += 1
             self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
-        self._fall = Fall()
+        self._below = 0
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
-
-    def _watch_floor(self, chunk: Chunk, own: float, bias: float) -> None:
-        """Take note of a touch that the air's own noise [N] would show, and its floor hides."""
-        if self._config.force_noise or not 0.0 < own < self._config.noise_floor:
-            return
-
-        def is_touch() -> bool:
-            approach = self._approach_until(chunk.end_ns, bias, own, is_clear=True, is_bare=True)
-            return approach.surface.evidence >= MIN_EVIDENCE and approach.has_advanced()
-
-        is_above = chunk.mean - bias > CLEAR_DEVIATIONS * own
-        if self._hidden.add(is_above=is_above, is_touch=is_touch):
-            self.hidden_above = own
 
     @property
     def _drift_taken_off(self) -> float:
@@ -251,9 +234,9 @@ class ContactDetector:
         return self._baseline.drift if self._config.measure_bias else 0.0
 
     def _approach_until(
-        self, now_ns: int, bias: float, white: float, *, is_clear: bool, is_bare: bool = False
+        self, now_ns: int, bias: float, white: float, *, is_clear: bool
     ) -> Approach:
-        """Return the samples until now; `is_bare`: by the white noise [N] alone."""
+        """Return the samples until now, of white noise [N]."""
         pairs = self._samples
         start_ns = pairs[0].stamp_ns
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
@@ -265,7 +248,7 @@ class ContactDetector:
         surface = find_surface(time, force, displacement, self._order, 0.0, window)
         onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
         level = self._baseline.level(bias, white, onset_ns)
-        if level.noise > _COLOUR * white and not is_bare:
+        if level.noise > _COLOUR * white:
             # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
             surface = find_surface(
                 time, force, displacement, self._order, level.noise, LONG_WINDOW
@@ -315,7 +298,7 @@ class ContactDetector:
         self.in_contact = True
         self._release.begin(onset.bias, onset.displacement, clear, excess)
         self._samples.clear()
-        self._below, self._hidden = Below(), Hidden()
+        self._below = 0
         self._baseline.is_suspected = False
         return onset._replace(release_force=self._release.threshold)
 
@@ -330,6 +313,5 @@ class ContactDetector:
         self.in_contact = False
         self._has_released = self.has_seen_air = True
         self._baseline.is_measured = True
-        self._fall = Fall()
         self._release.leave()
         return Release(left_ns)
