@@ -254,23 +254,6 @@ def test_a_force_ahead_by_more_than_a_right_angle_is_told():
     assert degrees == pytest.approx(truth, abs=3.0)
 
 
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", [0.0, 0.01])
-def test_a_phase_that_grows_with_the_frequency_is_a_lag(delay, seed):
-    """10 ms make 0.04 of alpha at 1 Hz and 0.16 at 4 Hz, which alone would pass for tissue."""
-    pipeline, outputs = begun({"contact.mode": "continuous"} | RIGID)
-    for number, frequency in enumerate((1.0, 4.0)):
-        record = palpated(seed, is_rigid=True, frequency=frequency, delay=delay)
-        record = replace(record, way=np.zeros_like(record.way))
-        feed(pipeline, record, shift=number * 40.1)
-    pipeline.finish()
-    known = [state.apparent_stiffness is not None for state in of(TissueState, outputs)]
-    assert known[round(0.4 * len(known))]
-    assert known[-100] == (delay == 0.0)
-    is_told = any("leads the displacement" in words for words in pipeline.warnings)
-    assert is_told == (delay > 0.0)
-
-
 def test_a_delay_that_is_stated_as_not_known_widens_and_is_not_flagged():
     record = palpated(6, delay=0.06)
     _, outputs = identify(record, **{"displacement.delay_sd": 0.1})

@@ -219,7 +219,6 @@ class ContinuousSession:
         if place is None or self._is_elsewhere(place, position):
             outputs = self._leave(stamp_ns, complete=True)
             self.site_count += 1
-            self._meter.move_on()
             place = self._place = Place(self.site_count, window, self._rejected.total())
         place.take(window, found)
         return outputs

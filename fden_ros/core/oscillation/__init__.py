@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an oscillation of the probe tells: complex moduli, and stiffness along a path."""
+"""What an oscillation of the probe shows: complex moduli, and stiffness along a path."""
 
 from fden_ros.core.oscillation.complex_modulus import (
     LEAST_AMPLITUDE,
@@ -9,9 +9,8 @@ from fden_ros.core.oscillation.complex_modulus import (
     ComplexModulusMeter,
 )
 from fden_ros.core.oscillation.local_stiffness import Stiffness
-from fden_ros.core.oscillation.palpation import Palpated
+from fden_ros.core.oscillation.palpation import Measured, Palpated, PalpationMeter
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
-from fden_ros.core.oscillation.palpation_meter import Measured, PalpationMeter
 
 __all__ = [
     "LEAST_AMPLITUDE",

@@ -10,7 +10,8 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
 
 What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction
 against the motion adds :math:`\tfrac{4}{\pi} / |X|` to k''. The law's own error counts for the way
-from 1/omega to tau.
+from 1/omega to tau. A relaxation leads by :math:`\tfrac{\pi}{2}\alpha`, a lag between two clocks by
+:math:`\omega\tau`: a phase larger than tissue has makes all unknown.
 """
 
 from __future__ import annotations
@@ -34,20 +35,36 @@ from fden_ros.core.estimation import (
     kernel_change,
 )
 from fden_ros.core.law import ApparentStiffness
-from fden_ros.core.oscillation.local_stiffness import Stiffness
-from fden_ros.core.oscillation.out_of_step import is_out_of_step
+from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
+from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
+from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 #: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
+#: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
+#: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
+_LARGEST_ORDER, _STATED = 0.35, 2.0
+#: Periods of a window, and harmonics that are fitted with the trend: with one period, or without
+#: the second harmonic, the harmonics of a nonlinear tissue pass for trend.
+_PERIODS, _HARMONICS = 2, (1.0, 2.0)
+#: What a window shows is current for this many windows.
+_CURRENT = 2.5
 
 
 class Palpated(NamedTuple):
-    """What palpation tells of a place."""
+    """What palpation shows of a place."""
 
     stiffness: Stiffness  #: at the palpation's frequency, with what is not known of the rig
     #: k_tau; None: the phase is none of a relaxation, so that it is not known.
     apparent: ApparentStiffness | None
     estimate: Estimate  #: G and Gn in it are the prior
+
+
+class Measured(NamedTuple):
+    """What one window shows."""
+
+    modulus: ComplexModulus  #: of the window alone, of force by displacement [N/m]
+    found: Palpated | None  #: of all windows so far; None: no answer of the tissue
 
 
 def palpated(
@@ -57,62 +74,39 @@ def palpated(
     time_scale: float,
     config: EstimatorConfig,
     samples: int,
-    *,
-    grows: bool = False,
 ) -> Palpated | None:
-    """Return what a complex stiffness tells; None where it is not above 0.
+    """Return what a complex stiffness shows; None where it is not above 0.
 
-    Parameters
-    ----------
-    stiffness : Stiffness
-        Measured.
-    angular_frequency, amplitude : float
-        Of the palpation [rad/s, m].
-    time_scale : float
-        tau [s].
-    samples : int
-        Behind the measurement.
-    grows : bool
-        Whether the phase was seen to grow with the frequency.
+    `angular_frequency` and `amplitude` are of the palpation [rad/s, m], `time_scale` is tau [s].
     """
     if stiffness.value.real <= NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
-    value = stiffness.value
-    size = abs(value)
+    value, size, prior = stiffness.value, abs(stiffness.value), config.prior
     rotation = np.array([[value.real, value.imag], [-value.imag, value.real]]) / size**2
     rotation[1] *= 2.0 / math.pi
     measured = rotation @ whole.covariance @ rotation.T  # of ln |k| and alpha
     own_order = 2.0 / math.pi * math.atan2(value.imag, value.real)
-    prior = config.prior
     # The prior's alpha as one more observation, which moves ln |k| with it.
     both = float(measured[1, 1]) + prior.fractional_order_sd**2
     gain = measured[:, 1] / max(both, np.finfo(float).tiny)
-    log_size, order = np.array([math.log(size), own_order]) + gain * (
-        prior.fractional_order - own_order
-    )
+    off = prior.fractional_order - own_order
+    log_size, order = np.array([math.log(size), own_order]) + gain * off
     covariance = measured - np.outer(gain, measured[1])
     lag = math.log(angular_frequency * time_scale)
     slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
-    kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
+    kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
     variance = float(slope @ covariance @ slope) + kernel
-    estimate = _estimate(float(order), float(covariance[1, 1]), own_order, config, samples)
-    if grows or is_out_of_step(own_order, math.sqrt(max(float(measured[1, 1]), 0.0))):
-        return Palpated(whole, None, _unknown(estimate))
+    own_sd = math.sqrt(max(float(measured[1, 1]), 0.0))
+    is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
+    estimate = _estimate(
+        *(float(order), float(covariance[1, 1]), own_order), config, samples, is_lag=is_lag
+    )
     if estimate.at_edge:
         return Palpated(whole, None, estimate)
     sd = apparent * math.sqrt(max(variance, 0.0))
     return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
-
-
-def _unknown(estimate: Estimate) -> Estimate:
-    """Return an estimate whose alpha is at an edge, so that nothing of it is known."""
-    return estimate._replace(
-        observable=ParameterSet.NONE,
-        known=ParameterSet.NONE,
-        at_edge=ParameterSet.FRACTIONAL_ORDER,
-    )
 
 
 def _with_rig(
@@ -130,20 +124,25 @@ def _with_rig(
 
 
 def _estimate(
-    order: float, variance: float, own_order: float, config: EstimatorConfig, samples: int
+    order: float,
+    variance: float,
+    own_order: float,
+    config: EstimatorConfig,
+    samples: int,
+    *,
+    is_lag: bool,
 ) -> Estimate:
-    """Return the prior with the alpha that was found."""
+    """Return the prior with the alpha that was found; beyond its edge nothing is known."""
     prior, deviation = config.prior, math.sqrt(max(variance, 0.0))
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
-    is_beyond = not config.is_order_given and (
-        own_order + EDGE * deviation < _LOWEST_ORDER
-        or own_order - EDGE * deviation > _HIGHEST_ORDER
-    )
-    valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
-    if is_beyond:
-        valid = ParameterSet.NONE
+    lowest, highest = own_order - EDGE * deviation, own_order + EDGE * deviation
+    is_beyond = highest < _LOWEST_ORDER or lowest > _HIGHEST_ORDER
+    is_beyond = is_lag or (is_beyond and not config.is_order_given)
+    valid = ParameterSet.NONE
+    if not is_beyond:
+        valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
@@ -154,3 +153,92 @@ def _estimate(
         at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
         sample_count=samples,
     )
+
+
+def _sentence(value: complex, angular_frequency: float) -> str:
+    """Return in one line what a complex stiffness is whose phase no relaxation makes."""
+    phase = math.atan2(value.imag, value.real)
+    return (
+        f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
+        f"{angular_frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes, so "
+        f"stiffness and alpha are not known. One of the two is stamped late (displacement.delay "
+        f"{phase / angular_frequency:.3f} s if all of it is lag)"
+    )
+
+
+class PalpationMeter:
+    """Follows stiffness and alpha, sample by sample.
+
+    Parameters
+    ----------
+    frequency : float or None
+        Of the palpation [Hz]; None: it is found.
+    least_amplitude : float
+        Amplitude of the displacement [m] below which there is no palpation.
+    time_scale : float
+        tau of the apparent stiffness [s].
+    """
+
+    def __init__(
+        self,
+        frequency: float | None,
+        least_amplitude: float,
+        time_scale: float,
+        config: EstimatorConfig,
+    ) -> None:
+        self._stated, self._least_amplitude = frequency, least_amplitude
+        self._time_scale, self._config = time_scale, config
+        self._finder, self._stiffness = PalpationFrequency(), LocalStiffness()
+        self._meter: ComplexModulusMeter | None = None
+        self._frequency = self._found_time = 0.0
+        self._found: Palpated | None = None
+        #: The first phase that no relaxation makes, in one line; None: there was none.
+        self.out_of_step: str | None = None
+
+    @property
+    def begins_window(self) -> bool:
+        """Whether the newest sample is the first of a window."""
+        return self._meter is not None and self._meter.begins_window
+
+    def skip(self) -> None:
+        """Begin the window anew: samples are missing."""
+        if self._meter is not None:
+            self._meter.reset()
+
+    def add(self, time: float, displacement: float, force: float) -> Measured | None:
+        """Take a sample [s, m, N] of a later time; return what a window shows that ended."""
+        self._finder.add(time, displacement)
+        frequency = self._stated or self._finder.value
+        if frequency is None:
+            self._meter = None
+            return None
+        if self._meter is None or frequency != self._frequency:
+            tones = [frequency * harmonic for harmonic in _HARMONICS]
+            self._meter = ComplexModulusMeter(tones, _PERIODS, self._least_amplitude)
+            self._frequency = frequency
+        for modulus in self._meter.add(time, displacement, force):
+            if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
+                self._found, self._found_time = self._update(modulus), time
+                return Measured(modulus, self._found)
+        return None
+
+    def _update(self, modulus: ComplexModulus) -> Palpated | None:
+        stiffness, amplitude = self._stiffness, modulus.strain_amplitude
+        stiffness.add(complex(modulus.storage, modulus.loss), amplitude, modulus.sd)
+        whole, frequency = stiffness.value(), modulus.angular_frequency
+        if whole is None:
+            return None
+        samples, value = stiffness.windows * modulus.samples, whole.value
+        found = palpated(whole, frequency, amplitude, self._time_scale, self._config, samples)
+        sd = math.sqrt(max(float(whole.covariance[0, 0]), 0.0))
+        # By more than 90 degrees, or too far for a relaxation.
+        leads = value.real < -NO_CHANCE * sd if found is None else found.apparent is None
+        if leads and value.imag > 0.0:
+            self.out_of_step = self.out_of_step or _sentence(value, frequency)
+        return found
+
+    def current(self, time: float) -> Palpated | None:
+        """Return what is known at a time [s]; None where the last window is too long ago."""
+        if self._meter is None or time - self._found_time > _CURRENT * self._meter.window:
+            return None
+        return self._found
