@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.core.estimation import KEYS, Budget, Estimate
-from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes

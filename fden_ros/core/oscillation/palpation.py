@@ -8,10 +8,10 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
 .. math:: k_\tau = |k| \frac{(\omega\tau)^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
    \alpha = \tfrac{2}{\pi} \arg k .
 
-What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction
-against the motion adds :math:`\tfrac{4}{\pi} / |X|` to k''. The law's own error counts for the way
-from 1/omega to tau. A relaxation leads by :math:`\tfrac{\pi}{2}\alpha`, a lag between two clocks by
-:math:`\omega\tau`: a phase larger than tissue has makes all unknown.
+What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction adds
+4/(pi |X|) to k''. The law's own error counts for the way from 1/omega to tau. A relaxation leads by
+alpha times 90 degrees, a lag of a clock by omega tau: with a larger phase than tissue has nothing
+is known.
 """
 
 from __future__ import annotations
