@@ -9,8 +9,8 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
    \alpha = \tfrac{2}{\pi} \arg k .
 
 What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction adds
-4/(pi |X|) to its imaginary part. The law's own error counts from 1/omega to tau. A relaxation leads
-by alpha times 90 degrees, a lag of a clock by omega tau: with a larger phase than tissue has
+4/(pi |X|) to its imaginary part. The law's own error counts from 1/omega to tau. A relaxation
+leads by alpha times 90 degrees, a lag of a clock by omega tau: with a larger phase than tissue has
 nothing is known.
 """
 
