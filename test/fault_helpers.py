@@ -195,7 +195,7 @@ def numbers_of(value: object) -> Iterator[float]:
     """Give every floating-point number of an output."""
     if isinstance(value, Estimate):
         # Where the law has no error it is not known how probable another is.
-        value = tuple(value._replace(other_law_probability=0.0))
+        value = tuple(value._replace(plateau_probability=0.0))
     if isinstance(value, np.ndarray):
         yield from value.ravel().tolist()
     elif isinstance(value, float):

@@ -35,12 +35,9 @@ from benchmark.harness import within
 from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order, read_tests
 from benchmark.score import Judged, Share
-from benchmark.trial import fed
 from fden_ros.core.estimation import Estimate, ParameterSet
-from fden_ros.core.outputs import ContactSummary, Flag
-from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.outputs import Flag
 from fden_ros.nodes.backlog import Backlog, Input, Message
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import ramp_scenario
@@ -320,19 +317,6 @@ def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
         assert changes.told_in(delays)["in time"].part >= least, change.name
 
 
-def test_a_change_after_another_law_was_asked_for_has_an_estimate():
-    row, outputs = changes.CASES["flat_30_arm"], []
-    pressed = changes.press(row.geometry, row.rate_hz, SLIDE, 3)
-    area, thickness = row.geometry.force_per_stress, row.geometry.length_m
-    own = {"geometry.area": area, "geometry.thickness": thickness}
-    pipeline = Pipeline(pipeline_config(check(own)), outputs.append)
-    for _ in fed(pipeline, pressed.times, pressed.forces, pressed.displacements):
-        pass
-    pipeline.finish()
-    (summary,) = (one for one in outputs if isinstance(one, ContactSummary))
-    assert summary.flags == Flag.TISSUE_CHANGED and summary.estimate is not None
-
-
 @pytest.mark.parametrize("numbers", counts(1, 4))
 def test_nothing_is_told_of_tissue_that_stays_what_it_is(numbers):
     narrow = {"prior.alpha_sd": 0.011, "prior.alpha": 0.05}
@@ -452,32 +436,8 @@ def test_streams_that_waited_together_are_worked_off_side_by_side():
     assert max(apart) < 2.0 / 60.0
 
 
-@pytest.mark.parametrize(
-    "which",
-    first(
-        ("flat punch", 1),
-        *(("flat punch", 2), ("punch in a wide layer", 0), ("sphere on a layer", 1)),
-    ),
-)
-def test_stiffness_of_a_spring_and_dashpot_is_known_and_right_in_the_hold(which, monkeypatch):
-    """It is flagged MODEL_MISMATCH, and the N/m that are published are the spring's."""
-    geometry, number = which
-    pressed = laws.found_at
-
-    def in_the_hold(press, stress, parameters):
-        *_, deepest, _, lifted = press.instants
-        held = tuple(np.linspace(deepest + 0.1, lifted - 0.1, 30))
-        return pressed(press._replace(instants=held), stress, parameters)
-
-    monkeypatch.setattr(laws, "found_at", in_the_hold)
-    found = laws.run_stiffness(("kelvin_voigt", geometry, laws.RIGID), number)
-    flagged = [one for one in found if one.is_known and one.is_flagged]
-    assert len(flagged) >= 3
-    assert all(one.is_inside for one in flagged)
-
-
-def test_stiffness_of_a_spring_and_dashpot_is_told_as_a_mismatch_in_the_hold(monkeypatch):
-    """What is published as N/m without a flag is right, or it is not published."""
+def test_stiffness_of_a_spring_and_dashpot_is_withheld_in_the_hold(monkeypatch):
+    """It is flagged MODEL_MISMATCH, or what is published as N/m is right."""
     pressed = laws.found_at
 
     def in_the_hold(press, stress, parameters):
@@ -488,4 +448,6 @@ def test_stiffness_of_a_spring_and_dashpot_is_told_as_a_mismatch_in_the_hold(mon
     monkeypatch.setattr(laws, "found_at", in_the_hold)
     found = laws.run_stiffness(("kelvin_voigt", "flat punch", laws.RIGID), 0)
     assert len(found) == 10
-    assert all(one.is_flagged or one.is_inside for one in found if one.is_known)
+    assert sum(one.is_known for one in found) <= 7
+    assert not any(one.is_flagged for one in found if one.is_known)
+    assert all(one.is_inside for one in found if one.is_known)

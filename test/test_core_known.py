@@ -35,8 +35,6 @@ from fden_ros.core.estimation import (
     Estimate,
     EstimatorConfig,
     LawError,
-    OtherLaw,
-    OtherLawKind,
     ParameterSet,
     Prior,
     StateIndex,
@@ -145,8 +143,7 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     summary, estimate = summary_and_estimate(pressed(LINEAR, 20.0))
     estimate = estimate._replace(
         law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
-        other_law_probability=0.9,
-        other_law=OtherLaw(OtherLawKind.PLATEAU, np.arange(4.0), np.eye(4)),
+        plateau_probability=0.9,
         softening=(0.8, 0.1),
         known=G,
         at_edge=ALPHA,
@@ -164,15 +161,6 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
         assert contact_object(summary)[key] == estimate.numbers[name]
     for heard in (state_of(sent[0]).estimate, summary_of(sent[1]).estimate):
         assert (heard.observable, heard.known, heard.at_edge) == (G | ALPHA, G, ALPHA)
-        assert heard.other_law.kind is OtherLawKind.PLATEAU
-        assert np.array_equal(heard.other_law.mean, np.arange(4.0))
-        assert np.array_equal(heard.other_law.covariance, np.eye(4))
-    flagged = remarks(replace(summary, flags=Flag.MODEL_MISMATCH), CONFIG)
-    said = "Likelier is a relaxation with a plateau: stiffness 1 ± 1 Pa, nonlinear stiffness 2.72"
-    assert any(one.startswith(said) for one in flagged)
-    found = contact_object(summary)["other_law"]
-    assert found["kind"] == "plateau" and found["relaxing_part"] == {"value": 2.0, "sd": 1.0}
-    assert found["rate"]["value"] == found["rate"]["sd"] == pytest.approx(math.exp(3.0))
     assert summary_of(sent[1]).estimate.numbers == pytest.approx(estimate.numbers, rel=1e-12)
 
 

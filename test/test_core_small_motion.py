@@ -12,8 +12,6 @@ import pytest
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Component, EstimatorConfig, log_stiffness
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.proposals.hunt_crossley import _HuntCrossley
-from fden_ros.core.estimation.proposals.plateau import _Maxwell
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import (
@@ -21,10 +19,9 @@ from fden_ros.core.estimation.unknowns import (
     LOG_GN,
     ORDER,
     ORIGIN,
-    change_since,
     unknowns_of,
 )
-from fden_ros.core.law import RATES, FlatPunch, Geometry, Sphere
+from fden_ros.core.law import FlatPunch, Geometry, Sphere
 
 FLAT, SPHERE = FlatPunch(area=1e-4, thickness=0.02), Sphere(radius=0.01)
 THIN = Sphere(radius=0.01, thickness=0.015)
@@ -122,55 +119,6 @@ def test_a_relaxation_that_was_not_seen_counts_in_its_variance():
         for motion in (known, replace(known, unseen=0.01))
     ]
     assert values[1] == pytest.approx((values[0][0], values[0][1] + 0.01))
-
-
-def test_where_the_relaxation_ends_it_is_that_of_a_spring_beside_a_maxwell_element():
-    law = bent_model(FLAT, compliance_sd=0.0)
-    state = state_of(law, 4)
-    state[law.kernel] = state[law.characteristic] = 0.0
-    state[LOG_G], state[LOG_GN], state[ORDER] = math.log(800.0), math.log(2.0), 0.6
-    model = _Maxwell(law.unknowns, FLAT, is_bent=True, last_knot=law.last_knot)
-    model.rate = 18
-    mode = Component(1.0, state, np.zeros((model.size, model.size)))
-    found = log_stiffness([SmallMotion(model, (mode,), by_origin(model))], 0.25, 0.0, TIME_SCALE)
-    assert found is not None
-    relaxed = 1.0 + (0.6 / 0.4) ** 2 * math.exp(-float(RATES[18]) * TIME_SCALE)
-    expected = 800.0 * relaxed / FLAT.stress_per_force / FLAT.length
-    assert math.exp(found[0]) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("geometry", [FLAT, SPHERE, THIN])
-def test_after_hunt_and_crossley_it_is_the_slope_of_the_power_at_rest(geometry):
-    law = bent_model(geometry, compliance_sd=0.0)
-    model = _HuntCrossley(law.unknowns, geometry, is_bent=True, last_knot=law.last_knot)
-    state = state_of(model, 4)
-    state[model.kernel] = state[model.characteristic] = state[ORIGIN] = 0.0
-    state[LOG_GN], state[ORDER] = math.log(1.3), 0.4
-    strain, slope = geometry.strain(0.25), geometry.strain_slope(0.25)
-    expected = 2000.0 * 1.3 * (strain / 0.1) ** 0.3 / 0.1 * slope
-    expected /= geometry.stress_per_force * geometry.length
-    assert math.exp(value_of(model, state, 0.0)) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("geometry", [FLAT, THIN])
-def test_the_derivatives_of_hunt_and_crossley_are_those_of_its_stress(geometry):
-    law = bent_model(geometry, compliance_sd=0.0)
-    unknowns = (*law.unknowns, change_since(0.8))
-    model = _HuntCrossley(unknowns, geometry, is_bent=True, last_knot=law.last_knot)
-    model.fastest = 0.2
-    record = Record(0.0, 0.0, is_at_rest=True)
-    for time in np.arange(0.0, 1.5, 0.01):
-        record.add(time, min(0.2 * time, 0.2) - 0.01, 0.0, is_observed=True)
-    points, state = record.points(), state_of(model, 7)
-    state[LOG_GN], state[ORDER] = math.log(1.3), 0.4
-    jacobian = model.evaluate(points, state).jacobian
-    for k in range(model.size):
-        step = 1e-6 * np.eye(model.size)[k]
-        up, down = (model.response(points, state + way * step).stress for way in (1.0, -1.0))
-        apart = (up - down) / 2e-6
-        assert jacobian[:, k] == pytest.approx(apart, rel=1e-4, abs=1e-4 * abs(apart).max() + 1e-4)
-    still = model.response(points, state).stress[-1]
-    assert model.response(points, state).stress.max() > 1.05 * still
 
 
 def test_a_tool_that_yields_makes_it_less():

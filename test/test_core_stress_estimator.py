@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts, first
+from property_helpers import counts
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
@@ -141,15 +141,11 @@ def test_below_the_boundary_strain_the_interval_is_honest_and_nothing_converges(
     assert held >= least
 
 
-@pytest.mark.parametrize("kind", first("hunt_crossley", "kelvin_voigt"))
-def test_wrong_model_is_told_and_does_not_converge_on_a_narrow_lie(kind):
+def test_a_spring_and_dashpot_is_a_mismatch_and_does_not_converge_on_a_narrow_lie():
     rng = np.random.default_rng(0)
     time, motion, *_ = ramp_and_hold(hold=2.0)
     velocity = np.gradient(motion, time)
-    if kind == "kelvin_voigt":
-        stress = 2000.0 * motion + 300.0 * velocity
-    else:
-        stress = 6000.0 * motion**1.8 * (1.0 + velocity)
+    stress = 2000.0 * motion + 300.0 * velocity
     estimator = estimator_of()
     assert fed(estimator, motion, stress + NOISE * rng.standard_normal(time.size))
     estimator.begin_finish()

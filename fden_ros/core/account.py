@@ -186,7 +186,9 @@ class Account:
     def _stiffness(
         self, estimate: Estimate | None, compression: float | None, stress: float
     ) -> ApparentStiffness | None:
-        """Return it about a compression [1] and stress [Pa]; None while not known."""
+        """Return it about a compression [1] and stress [Pa]; None where the law does not hold."""
+        if self._site.is_mismatch:
+            return None
         geometry, time_scale = self._config.geometry, self._config.apparent_stiffness_time_scale
         return apparent_stiffness_of(estimate, geometry, compression, stress, time_scale)
 
@@ -195,8 +197,7 @@ class Account:
     ) -> TissueState:
         is_converged = estimate is not None and estimate.converged
         # Where the newest data are unexplained N/m was wrong by a factor of up to 50.
-        is_unexplained = self._site.is_doubtful and not self._site.is_mismatch
-        explained = None if is_unexplained else estimate
+        explained = None if self._site.is_doubtful else estimate
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.CONVERGED if is_converged else Status.CONVERGING,

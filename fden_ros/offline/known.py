@@ -22,7 +22,7 @@ def knows_stiffness(summary: ContactSummary) -> bool:
         return summary.measured.loading is not None
     by_law = summary.apparent_stiffness
     is_law = by_law is not None and by_law.sd < by_law.value
-    is_doubted = bool(summary.flags & (Flag.MODEL_MISMATCH | Flag.AT_PRIOR_LIMIT))
+    is_doubted = bool(summary.flags & Flag.AT_PRIOR_LIMIT)
     return summary.measured.loading is not None or (is_law and not is_doubted)
 
 

@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import Estimate, OtherLaw, ParameterSet
+from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.offline.advice import shortfall
 from fden_ros.written import written
 
-#: Units of the parameters of another law.
-_UNITS = {"stiffness": " Pa", "rate": "/s", "resistance": " s"}
 #: What a flag stands for; ALPHA_PRIOR_CONFLICT has its numbers.
 _BY_FLAG = {
     Flag.TOUCH_NOT_OBSERVED: (
@@ -24,7 +22,7 @@ _BY_FLAG = {
     ),
     Flag.GAP: "Samples are missing within this site's memory.",
     Flag.MODEL_MISMATCH: (
-        "The model does not describe this contact: the force is not what it predicts."
+        "The law does not describe this contact: its N/m is withheld, the measured slope stands."
     ),
     Flag.TISSUE_CHANGED: (
         "The tissue changed within the contact: G is of the new one, Gn and alpha are of both."
@@ -49,15 +47,6 @@ _BY_FLAG = {
 }
 
 
-def _other_law(other: OtherLaw) -> str:
-    """Return what describes the tissue instead, in numbers."""
-    found = (
-        f"{name.replace('_', ' ')} {written(value, 3)} ± {written(sd, 2)}{_UNITS.get(name, '')}"
-        for name, (value, sd) in other.parameters.items()
-    )
-    return f"Likelier is {other.kind.label}: {', '.join(found)}."
-
-
 def against_the_law(summary: ContactSummary) -> str:
     """Return in one line what stands against G and Gn of a contact that lacks nothing else."""
     estimate = summary.estimate
@@ -78,8 +67,6 @@ def remarks(
     if not summary.complete:
         yield "The contact was cut short: its release is not in the recording, or data were lost."
     yield from (words for flag, words in _BY_FLAG.items() if summary.flags & flag)
-    if summary.flags & Flag.MODEL_MISMATCH and estimate is not None and estimate.other_law:
-        yield _other_law(estimate.other_law)
     if summary.flags & Flag.ALPHA_PRIOR_CONFLICT and estimate is not None and estimate.law_error:
         error = estimate.law_error
         yield (

@@ -221,7 +221,6 @@ def contact_object(summary: ContactSummary) -> dict[str, Any]:
         "prior_limit_parameters": list(estimate.at_edge.names) if estimate is not None else [],
         "covariance": estimate.covariance.tolist() if estimate is not None else None,
         "components": _components_object(estimate),
-        "other_law": _other_law_object(estimate),
         "complete": summary.complete,
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
         "max_strain": summary.max_strain,
@@ -251,16 +250,6 @@ def measured_object(measured: Slopes) -> dict[str, float | None]:
         for part, value in zip(("", "_sd", "_depth"), (*parts[:2], depth), strict=True):
             found[f"{name}{part}"] = value
     return found
-
-
-def _other_law_object(estimate: Estimate | None) -> dict[str, Any] | None:
-    """Return the likeliest other law with its parameters; null: none was asked for."""
-    other = estimate.other_law if estimate is not None else None
-    if other is None:
-        return None
-    found = other.parameters.items()
-    numbers = {name: {"value": value, "sd": sd} for name, (value, sd) in found}
-    return {"kind": other.kind.name.lower(), **numbers}
 
 
 def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:

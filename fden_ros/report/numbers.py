@@ -120,10 +120,9 @@ def law(estimate: Estimate | None) -> str:
         f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
         f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
-    if math.isnan(estimate.other_law_probability):
+    if math.isnan(estimate.plateau_probability):
         return text
-    other = estimate.other_law.kind.label if estimate.other_law is not None else "another law"
-    return f"{text}; {other} has a probability of {estimate.other_law_probability:.2f}"
+    return f"{text}; a plateau has a probability of {estimate.plateau_probability:.2f}"
 
 
 def _rounded_up(value: float) -> str:

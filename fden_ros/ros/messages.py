@@ -20,8 +20,6 @@ from fden_ros.core.estimation import (
     Estimate,
     Innovation,
     LawError,
-    OtherLaw,
-    OtherLawKind,
     ParameterSet,
 )
 from fden_ros.core.outputs import (
@@ -163,10 +161,6 @@ def _fill_parameters(
     for name, value in estimate.numbers.items():
         setattr(message, name, value)
     message.covariance = estimate.covariance.ravel()
-    if (other := estimate.other_law) is not None:
-        message.other_law = int(other.kind)
-        message.other_law_parameters = other.mean
-        message.other_law_covariance = other.covariance.ravel()
     message.alpha_source = int(source)
     message.observable_parameters = int(estimate.observable)
     message.converged_parameters = int(estimate.known)
@@ -308,14 +302,6 @@ def _slope_of(message: TissueEstimate | PalpationSummary, name: str) -> Measured
     return MeasuredSlope(value, sd, depth, stamp_ns(time))
 
 
-def _other_law_of(message: TissueEstimate | PalpationSummary) -> OtherLaw:
-    return OtherLaw(
-        OtherLawKind(message.other_law),
-        np.array(message.other_law_parameters),
-        np.array(message.other_law_covariance).reshape(4, 4),
-    )
-
-
 def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:
     return Estimate(
         log_linear_stiffness=math.log(message.linear_stiffness),
@@ -328,7 +314,6 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         law_error=LawError(*(getattr(message, name) for name in LawError.names()))
         if message.relaxation_error_sd
         else None,
-        other_law=_other_law_of(message) if message.other_law else None,
         probability_beyond_boundary=math.nan,
         observable=ParameterSet(message.observable_parameters),
         known=ParameterSet(message.converged_parameters),

@@ -11,14 +11,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fden_ros.core.estimation.ahead import (
-    Along,
-    Elastic,
-    LawAlong,
-    LoadingAhead,
-    kernel_change,
-    other_along,
-)
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.claims import (
     EDGE,
@@ -34,8 +26,6 @@ from fden_ros.core.estimation.estimate import (
     Budget,
     Estimate,
     LawError,
-    OtherLaw,
-    OtherLawKind,
     ParameterSet,
     StateIndex,
 )
@@ -51,6 +41,7 @@ from fden_ros.core.estimation.estimator_config import (
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.small_motion import log_stiffness
+from fden_ros.core.estimation.smooth_errors import kernel_change
 from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
@@ -65,21 +56,15 @@ __all__ = [
     "NOTHING_UNKNOWN",
     "NO_CHANCE",
     "PUBLISHED",
-    "Along",
     "Block",
     "Budget",
     "Component",
-    "Elastic",
     "Estimate",
     "Estimator",
     "EstimatorConfig",
     "Innovation",
-    "LawAlong",
     "LawError",
-    "LoadingAhead",
     "Observation",
-    "OtherLaw",
-    "OtherLawKind",
     "ParameterSet",
     "Points",
     "PosteriorEstimator",
@@ -93,7 +78,6 @@ __all__ = [
     "kernel_change",
     "log_stiffness",
     "moments",
-    "other_along",
     "positive",
     "probability_beyond",
     "reserved",

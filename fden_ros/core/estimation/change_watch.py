@@ -195,9 +195,8 @@ def with_event(hypotheses: Sequence[Hypothesis], found: Found) -> list[Hypothesi
     changed = without.with_event(look.event)
     if look.posterior is not None and look.solution is not None:
         solutions = Solutions((look.solution,), (look.solution.log_evidence,))
-        # Other laws were asked without the event: their states have no place for it.
         solved = replace(
-            without.solved, posterior=look.posterior, solutions=solutions, rivals=None
+            without.solved, posterior=look.posterior, solutions=solutions, plateau_odds=None
         )
         changed.take_over(solved, 0.0)
         odds = look.gain - THRESHOLD * (changed.change_count - without.change_count)

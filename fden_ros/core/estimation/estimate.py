@@ -81,57 +81,6 @@ class LawError(NamedTuple):
         return tuple(name + part for name in errors for part in ("", "_sd"))
 
 
-class OtherLawKind(enum.IntEnum):
-    """Other laws than this one, as messages state them."""
-
-    PLATEAU = 1
-    HUNT_CROSSLEY = 2
-
-    @property
-    def label(self) -> str:
-        """In words."""
-        return _LABELS[self]
-
-
-#: Of each kind: the names of its parameters, and which of them are logarithms in `mean`.
-_PARAMETERS = {
-    OtherLawKind.PLATEAU: (
-        ("stiffness", "nonlinear_stiffness", "relaxing_part", "rate"),
-        (True, True, False, True),
-    ),
-    OtherLawKind.HUNT_CROSSLEY: (("stiffness", "power", "resistance"), (True, True, False)),
-}
-_LABELS = {
-    OtherLawKind.PLATEAU: "a relaxation with a plateau",
-    OtherLawKind.HUNT_CROSSLEY: "Hunt-Crossley",
-}
-
-
-class OtherLaw(NamedTuple):
-    """The likeliest other law, for predictions.
-
-    With a plateau the stress after a step to the strain x is phi(x; G, Gn) (1 + r exp(-rate t));
-    after Hunt and Crossley it is g (x / 0.1)^m (1 + lambda du/dt), u the compression [1].
-    """
-
-    kind: OtherLawKind
-    #: (ln G, ln Gn, r, ln rate), or (ln g, ln m, lambda, 0), shape (4,); G and g in Pa, the rate
-    #: in 1/s, lambda in s.
-    mean: Array
-    covariance: Array  #: of them, shape (4, 4)
-
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of each, to first order; of a logarithm the median."""
-        names, is_log = _PARAMETERS[self.kind]
-        deviations = np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
-        found = {}
-        for name, log, mean, sd in zip(names, is_log, self.mean, deviations, strict=False):
-            value = math.exp(mean) if log else float(mean)
-            found[name] = value, float(sd) * (value if log else 1.0)
-        return found
-
-
 @dataclass(frozen=True)
 class Budget:
     """What makes an estimate uncertain."""
@@ -178,9 +127,9 @@ class Estimate(NamedTuple):
     mean_dwell_time: float = 0.0
     #: None: not known, before the first solution, and where the law is said to be exact.
     law_error: LawError | None = None
-    #: Probability of another law, a relaxation with a plateau or Hunt-Crossley [1]; NaN: not
+    #: Probability that the relaxation reaches a plateau, and so is not the law's [1]; NaN: not
     #: known, as before the motion has slowed.
-    other_law_probability: float = math.nan
+    plateau_probability: float = math.nan
     #: G over what it was at the last press into this place [1], and its standard deviation [1];
     #: None: there was none.
     softening: tuple[float, float] | None = None
@@ -197,8 +146,6 @@ class Estimate(NamedTuple):
     #: Delay of the displacement [s] and its standard deviation [s]; None: it is not learned, or
     #: stated within 10 ms.
     delay: tuple[float, float] | None = None
-    #: The likeliest other law; None: none was asked for yet.
-    other_law: OtherLaw | None = None
     #: For the stiffness of a small motion: of each place that it may be; empty: not known.
     small_motions: tuple[SmallMotion, ...] = ()
 
@@ -304,8 +251,8 @@ class Estimate(NamedTuple):
         """What outputs state, by the names of :data:`PUBLISHED`; without those not known."""
         of_law = LawError.names()
         found = {name: getattr(self, name) for name in PUBLISHED if name not in of_law}
-        if math.isnan(self.other_law_probability):
-            del found["other_law_probability"]
+        if math.isnan(self.plateau_probability):
+            del found["plateau_probability"]
         if self.softening is None:
             del found["stiffness_ratio"], found["stiffness_ratio_sd"]
         if self.law_error is not None:
@@ -332,7 +279,7 @@ PUBLISHED = {
     "contact_point_sd": "",
     "model_discrepancy": "",
     "mean_dwell_time": "",
-    "other_law_probability": "other_law_probability",
+    "plateau_probability": "plateau_probability",
     "stiffness_ratio": "stiffness_ratio",
     "stiffness_ratio_sd": "stiffness_ratio_sd",
     **{name: name for name in LawError.names()},

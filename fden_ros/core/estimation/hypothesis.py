@@ -19,7 +19,6 @@ from fden_ros.core.estimation.mixture import Component, merged, weights_of, with
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
-from fden_ros.core.estimation.rivals import Rivals
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN, Unknown
 from fden_ros.core.law import StressMoments, elastic_response
@@ -74,7 +73,7 @@ class Hypothesis:
     ) -> None:
         self.past, self.setting, self.events = past, setting, events
         self.solved: Solved | None = None
-        self.rivals: Rivals | None = None  #: as they were asked for last
+        self.plateau_odds: float | None = None  #: as they were asked for last
         self.misses, self.log_weight = 0, -math.inf
         self.tissue_when_solved: tuple[Component, ...] = ()
         self._filters: list[PressFilter] = []
@@ -151,8 +150,8 @@ class Hypothesis:
         `log_evidence`: of all of it, for what was known before the record.
         """
         self.solved, self.misses = solved, 0
-        if solved.rivals is not None:
-            self.rivals = solved.rivals
+        if solved.plateau_odds is not None:
+            self.plateau_odds = solved.plateau_odds
         log_evidence += self._log_prior(solved)
         found = solved.solutions
         logs = np.array(found.log_evidence + found.held_log_evidence)

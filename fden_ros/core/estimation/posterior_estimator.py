@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 
+from scipy.special import expit
+
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Sample
 from fden_ros.core.estimation.budget import budget_of
@@ -207,8 +209,8 @@ class PosteriorEstimator(Estimator):
 
     def _see_mismatch(self) -> None:
         for one in self.press.hypotheses if self.press is not None else ():
-            if one.rivals is not None:
-                one.past.mismatch_probability = one.rivals.probability
+            if one.plateau_odds is not None:
+                one.past.mismatch_probability = float(expit(one.plateau_odds))
 
     def put_away(self) -> None:
         """Make the posterior of the press the prior of the next, for each past that it leaves."""

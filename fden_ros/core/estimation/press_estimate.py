@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,17 +13,14 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
-from fden_ros.core.estimation.estimate import Estimate, LawError, OtherLaw, ParameterSet
+from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.hypothesis import (
     LEAST_WEIGHT,
-    MISMATCH,
     Hypothesis,
-    after_changes,
 )
 from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.press_posterior import PressPosterior
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.rivals import Rivals
 from fden_ros.core.estimation.small_motion import SmallMotion
 from fden_ros.core.estimation.unknowns import LAW, LOG_G, LOG_GN, ORDER
 from fden_ros.core.law import MAX_EXPONENT
@@ -38,10 +34,6 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: discrepancy of the law [1]: on a ramp only the curve is. Of tissue of eleven other laws 90 % of
 #: the intervals hold on a ramp with it, and 82 % without.
 _UNSEEN = 0.5
-#: N/m of another law alone, which has no filter, is known up to this compression over the largest
-#: of its record [1], as far as its splines go: of a spring and dashpot 373 of 848 intervals hold
-#: without this limit, and 324 of 406 with it.
-_BEYOND = 1.05
 
 
 def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate | None:
@@ -51,7 +43,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     ----------
     press : PressPosterior
     mismatch_probability : float
-        Of another law [1]; NaN: not known.
+        Of a plateau [1]; NaN: not known.
     """
     weighed = press.weighed
     if not weighed:
@@ -86,9 +78,8 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     seen = press.shows_relaxation or press.setting.carried is not None
     unseen = 0.0 if seen else (_UNSEEN * config.uncertainty.characteristic_sd) ** 2
     motions = tuple(
-        replace(motion, unseen=unseen)
+        replace(_small_motion(press, one, tissue), weight=weight, unseen=unseen)
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
-        for motion in _small_motions(press, one, tissue, weight)
     )
     own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
     whole_state = moments(own_tissue)
@@ -106,8 +97,7 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         model_discrepancy=sum(s.characteristic * p for s, p in solved.best.scales.items()),
         mean_dwell_time=likeliest.mean_dwell_time,
         law_error=solved.law_error,
-        other_law_probability=mismatch_probability,
-        other_law=_other_law(best),
+        plateau_probability=mismatch_probability,
         softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
@@ -122,35 +112,14 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
     )
 
 
-def _small_motions(
-    press: PressPosterior, one: Hypothesis, tissue: tuple[Component, ...], weight: float
-) -> Iterator[SmallMotion]:
-    """Yield what a hypothesis of a weight makes of a small motion; `tissue`: its components now.
-
-    With a probability of other laws from 0.05 to 0.95 (1 - MISMATCH to MISMATCH) that is a mixture
-    with what the likeliest makes of it, and above that alone.
-    """
+def _small_motion(
+    press: PressPosterior, one: Hypothesis, tissue: tuple[Component, ...]
+) -> SmallMotion:
+    """Return what a hypothesis makes of a small motion; `tissue`: its components now."""
     assert one.solved is not None
     by_origin, shift = one.setting.by_origin(one.solved.model.size), one.past.shift
     solved = one.tissue_when_solved if press.is_deeper else ()
-    law = SmallMotion(one.solved.model, tissue, by_origin, shift=shift, solved=solved)
-    rivals = one.rivals if one.rivals is not None else Rivals()
-    other, share = rivals.likeliest, rivals.probability
-    deepest = press.intake.record.max_compression + shift
-    is_deeper = other is not None and deepest > _BEYOND * other.deepest
-    is_other = share > MISMATCH
-    if other is None or share < 1.0 - MISMATCH:
-        yield replace(law, weight=weight)
-        return
-    own = after_changes(other.component, other.model)
-    motion = SmallMotion(other.model, (own,), by_origin, weight=share * weight, shift=shift)
-    if is_other:
-        own = own._replace(weight=float(not is_deeper))
-        yield replace(motion, components=(own,), weight=weight)
-        return
-    yield replace(law, weight=(1.0 - share) * weight)
-    # Deeper than its record it bends as the law does.
-    yield replace(motion, beyond=(other.deepest, law))
+    return SmallMotion(one.solved.model, tissue, by_origin, shift=shift, solved=solved)
 
 
 def _of_law(component: Component, one: Hypothesis) -> Component:
@@ -168,12 +137,6 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     covariance[_ORIGIN, _ORIGIN] = by_origin @ with_origin
     covariance[:2, :2] += one.setting.config.uncertainty.thickness_sd**2
     return Component(weight, mean, covariance)
-
-
-def _other_law(best: Hypothesis) -> OtherLaw | None:
-    """Return the likeliest other law as messages state it; None: none was asked for."""
-    likeliest = best.rivals.likeliest if best.rivals is not None else None
-    return likeliest.published if likeliest is not None else None
 
 
 def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:

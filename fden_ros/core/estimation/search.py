@@ -25,18 +25,18 @@ from fden_ros.core.estimation.maxima import (
 )
 from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
+from fden_ros.core.estimation.plateau import Question, log_odds
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
-from fden_ros.core.estimation.rivals import Question, Rivals, rivals_of
 from fden_ros.core.estimation.solution import Solution
 from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Lifetime, Unknown
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
 _MOST_EVALUATIONS = 200
-#: And the question whether another law is likelier [1].
-_MOST_OF_RIVALS = 400
+#: And the comparison with a plateau [1].
+_MOST_OF_PLATEAU = 400
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Solved:
     solutions: Solutions
     law_error: LawError | None  #: how far the press is from the law; None: it cannot tell
     is_contradicted: bool  #: by its whitened residuals
-    #: Other laws; None: they were not asked for, or the press cannot tell.
-    rivals: Rivals | None = None
+    #: Logarithm of the odds of a plateau against the law [1]; None: they were not compared.
+    plateau_odds: float | None = None
 
     @property
     def model(self) -> PressModel:
@@ -142,14 +142,14 @@ class Search:
         """
         limit = self.posterior.limit = self._limit(_MOST_EVALUATIONS)
         found = yield from limit.counted(self._solutions())
-        limit = self.posterior.limit = self._limit(_MOST_OF_RIVALS)
-        rivals = yield from limit.counted(self._rivals(found.best))
+        limit = self.posterior.limit = self._limit(_MOST_OF_PLATEAU)
+        odds = yield from limit.counted(self._plateau_odds(found.best))
         return Solved(
             self.posterior,
             found,
             self._law_error(found.best),
             contradicts(found.best.residuals),
-            rivals,
+            odds,
         )
 
     def _limit(self, evaluations: float) -> Limit:
@@ -170,15 +170,15 @@ class Search:
             return None
         return law_error(best, self.posterior.model, (self.elapsed, strain))
 
-    def _rivals(self, best: Solution) -> Parts[Rivals | None]:
-        """Return other laws, against the law; None: they are not asked for."""
+    def _plateau_odds(self, best: Solution) -> Parts[float | None]:
+        """Return the log odds of a plateau against the law; None: they are not asked for."""
         at_once = self.care is Care.ASKED_AT_ONCE
         if not (at_once or self.care is Care.ASKED) or not self.setting.can_tell_mismatch:
             return None
         if at_once and best.best_scales.kernel < self.setting.config.uncertainty.characteristic_sd:
             return None  # the law needs no other relaxation
         question = Question(self.points, best, self.posterior, self.made, at_once)
-        return (yield from rivals_of(question))
+        return (yield from log_odds(question))
 
     def _strain(self, origin: float) -> float:
         return self.setting.largest_strain(self.deepest, origin)

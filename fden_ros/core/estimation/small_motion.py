@@ -64,9 +64,6 @@ class SmallMotion:
         Variance of ln k for a relaxation that has not been seen [1].
     solved : tuple of Component
         Those of the newest solution, without what filters have learned since; empty: that counts.
-    beyond : tuple of float and SmallMotion, or None
-        The largest compression of its data [1], and what ln k changes with from there on; None:
-        it is asked for no deeper.
     """
 
     model: PressModel
@@ -77,7 +74,6 @@ class SmallMotion:
     variance_factor: float = 1.0
     unseen: float = 0.0
     solved: tuple[Component, ...] = ()
-    beyond: tuple[float, SmallMotion] | None = None
 
     def widened(self, factor: float) -> SmallMotion:
         """Return it with more variance."""
@@ -102,13 +98,6 @@ class SmallMotion:
         time_scale : float
             tau [s].
         """
-        if self.beyond is not None and compression + self.shift > self.beyond[0]:
-            deepest, other = self.beyond[0] - self.shift, self.beyond[1]
-            there = replace(self, beyond=None).log_stiffnesses(deepest, stress, time_scale)
-            start = other.log_stiffnesses(deepest, stress, time_scale)
-            end = other.log_stiffnesses(compression, stress, time_scale)
-            growth = float(end.weights @ (end.values - start.values) / end.weights.sum())
-            return there._replace(values=there.values + growth)
         model, geometry, bending = self.model, self.model.geometry, self.model.bending
         states = np.array([mode.mean for mode in self.components])
         moves = stress * bending - self.by_origin

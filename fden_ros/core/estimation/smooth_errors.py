@@ -161,3 +161,11 @@ def _characteristic(last: float) -> tuple[Array, Array]:
     knots = NEAR * last * np.expm1(np.clip(middles, 0.0, 1.0) * math.log1p(1.0 / NEAR))
     zero, _ = splines(np.array([REFERENCE_STRAIN]), last, CHARACTERISTIC_KNOTS)
     return knots, zero[0]
+
+
+def kernel_change(kernel_sd: float, way: float) -> float:
+    """Return the variance by which the kernel's error changes over a way of ln t [1].
+
+    `kernel_sd`: the relative deviation of the kernel [1].
+    """
+    return 2.0 * kernel_sd**2 * -math.expm1(-way / KERNEL_LENGTH)
