@@ -173,15 +173,3 @@ def test_a_touch_that_may_be_elsewhere_leaves_the_estimator_of_the_last_site_as_
     assert second is not first and len(second._estimator._pasts.all) > 1
     assert pickle.dumps(first._estimator) == before
     assert summaries_of(outputs)[0].converged
-
-
-def test_only_a_contact_that_is_claimed_teaches_the_rig():
-    def learned(**own: object) -> bool:
-        pipeline, outputs = new(**{"force.drift_sd": 2e-4, **own})
-        until(pipeline, list(shift().items), lambda contact: contact.state is State.CLOSED)
-        stated, (summary,) = new()[0].rig, summaries_of(outputs)
-        assert summary.converged == (not own)
-        return pipeline.rig.drift != stated.drift
-
-    assert learned()
-    assert not learned(**{"converged.log_gn_sd": 0.001})

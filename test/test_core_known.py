@@ -144,7 +144,6 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     estimate = estimate._replace(
         law_error=LawError(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
         plateau_probability=0.9,
-        softening=(0.8, 0.1),
         known=G,
         at_edge=ALPHA,
     )

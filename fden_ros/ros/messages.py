@@ -308,9 +308,6 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
         covariance=np.array(message.covariance).reshape(3, 3),
         **{name: getattr(message, name) for name in PUBLISHED if name in Estimate._fields},
-        softening=(message.stiffness_ratio, message.stiffness_ratio_sd)
-        if message.stiffness_ratio
-        else None,
         law_error=LawError(*(getattr(message, name) for name in LawError.names()))
         if message.relaxation_error_sd
         else None,

@@ -130,9 +130,6 @@ class Estimate(NamedTuple):
     #: Probability that the relaxation reaches a plateau, and so is not the law's [1]; NaN: not
     #: known, as before the motion has slowed.
     plateau_probability: float = math.nan
-    #: G over what it was at the last press into this place [1], and its standard deviation [1];
-    #: None: there was none.
-    softening: tuple[float, float] | None = None
     #: Parameters that lie at an end of what the prior allows: then none is known.
     at_edge: ParameterSet = ParameterSet.NONE
     #: Whether the relaxation contradicts the alpha that was stated.
@@ -222,16 +219,6 @@ class Estimate(NamedTuple):
         return self._deviation(StateIndex.FRACTIONAL_ORDER)
 
     @property
-    def stiffness_ratio(self) -> float:
-        """G over what it was at the last press into this place [1]; 0: there was none."""
-        return self.softening[0] if self.softening is not None else 0.0
-
-    @property
-    def stiffness_ratio_sd(self) -> float:
-        """Its standard deviation [1]."""
-        return self.softening[1] if self.softening is not None else 0.0
-
-    @property
     def exponential_scale(self) -> float:
         """Gi at the medians [Pa s^alpha]."""
         return exponential_scale(self.linear_stiffness, self.nonlinear_stiffness)
@@ -253,8 +240,6 @@ class Estimate(NamedTuple):
         found = {name: getattr(self, name) for name in PUBLISHED if name not in of_law}
         if math.isnan(self.plateau_probability):
             del found["plateau_probability"]
-        if self.softening is None:
-            del found["stiffness_ratio"], found["stiffness_ratio_sd"]
         if self.law_error is not None:
             found |= zip(of_law, self.law_error, strict=True)
         return found
@@ -280,8 +265,6 @@ PUBLISHED = {
     "model_discrepancy": "",
     "mean_dwell_time": "",
     "plateau_probability": "plateau_probability",
-    "stiffness_ratio": "stiffness_ratio",
-    "stiffness_ratio_sd": "stiffness_ratio_sd",
     **{name: name for name in LawError.names()},
 }
 #: Those that have a key, by their keys.

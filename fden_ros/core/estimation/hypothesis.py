@@ -15,7 +15,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
-from fden_ros.core.estimation.mixture import Component, merged, weights_of, with_held
+from fden_ros.core.estimation.mixture import Component, merged, weights_of
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
 from fden_ros.core.estimation.proposals.change import THRESHOLD
@@ -161,8 +161,9 @@ class Hypothesis:
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
         self._set_logs(logs[is_likely] + (log_evidence - found.total))
         self._logs_when_solved = self._logs
-        whole = self._with_held(found.components)
-        self.tissue_when_solved = tuple(self._now(part) for part in whole)
+        self.tissue_when_solved = tuple(
+            self._now(part) for part in found.components if part.weight
+        )
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
@@ -259,16 +260,8 @@ class Hypothesis:
             if not weight:
                 continue
             covariance = one.covariance if considered is None else one.covariance + considered
-            found.append((one, self._with_held([Component(weight, one.mean, covariance)])))
+            found.append((one, [Component(weight, one.mean, covariance)]))
         return found
-
-    def _with_held(self, parts: Sequence[Component]) -> list[Component]:
-        """Return components where what may be 0 is, and where it is not."""
-        assert self.solved is not None
-        found = list(parts)
-        for unknown in self.solved.maybe_zero:
-            found = [part for whole in found for part in with_held(whole, unknown)]
-        return [part for part in found if part.weight]
 
     @property
     def tissue_now(self) -> tuple[Component, ...]:

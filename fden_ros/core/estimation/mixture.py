@@ -126,44 +126,6 @@ def widened(components: Sequence[Component], factor: float) -> tuple[Component, 
     )
 
 
-class MaybeZero(NamedTuple):
-    """An unknown that may be exactly 0: what is known of it before the data."""
-
-    place: int
-    variance: float  #: where it is not 0 [1]
-    log_odds: float  #: of its being 0 [1]
-
-    def log_odds_after(self, component: Component) -> float:
-        r"""Return the log odds of its being 0 after the data.
-
-        They follow from the density of the unknown at 0, after and before the data, the ratio of
-        Savage and Dickey (Verdinelli and Wasserman 1995):
-
-        .. math::
-            \frac{p(y \mid x = 0)}{p(y \mid x)} = \frac{p(x = 0 \mid y)}{p(x = 0)} .
-        """
-        variance = max(float(component.covariance[self.place, self.place]), 1e-12)
-        square = float(component.mean[self.place]) ** 2 / variance
-        return self.log_odds + 0.5 * (math.log(self.variance / variance) - square)
-
-    def log_gain(self, component: Component) -> float:
-        """Return the log evidence of both together over that of a free unknown."""
-        after = float(np.logaddexp(0.0, self.log_odds_after(component)))
-        return after - float(np.logaddexp(0.0, self.log_odds))
-
-
-def with_held(component: Component, unknown: MaybeZero) -> tuple[Component, Component]:
-    """Return a component where an unknown is held at 0, and where it is free."""
-    weight, mean, covariance = component
-    place = unknown.place
-    gain = covariance[place] / max(float(covariance[place, place]), 1e-12)
-    held = mean - gain * mean[place]
-    left = covariance - np.outer(gain, covariance[place])
-    held[place], left[place], left[:, place] = 0.0, 0.0, 0.0
-    is_zero, is_free = weights_of((unknown.log_odds_after(component), 0.0)).tolist()
-    return Component(weight * is_zero, held, left), component._replace(weight=weight * is_free)
-
-
 def positive(covariance: Array) -> Array:
     """Return the nearest symmetric positive semidefinite matrix, where rounding has left none."""
     nearest: Array = 0.5 * (covariance + covariance.T)

@@ -161,7 +161,7 @@ def _carry_over(
     past.other = None
     if likeliest.solved is None:
         return
-    model, free = likeliest.solved.model, likeliest.setting.free
+    model = likeliest.solved.model
     # A solution of a shorter record may lack the law's errors of this one.
     whole = normalized(
         [
@@ -171,10 +171,6 @@ def _carry_over(
             for part in other.modes_now
         ]
     )
-    if free is not None:
-        # What earlier presses have left counts in the stress of the tissue as it is now.
-        softer = sum(part.weight * model.surface.softening(part.mean) for part in whole) - 1.0
-        past.memory.values += softer * free.at(np.array([time]))[0]
     sound = [part for part in whole if is_sound(part)] or whole[:1]
     lasting = [k for k, one in enumerate(model.unknowns) if one.lifetime is not Lifetime.CONTACT]
     # Two Gaussians are one where the divergence grows by less than 0.5. With 0.1 three presses to

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.claims import probability_beyond as beyond_boundary
 from fden_ros.core.estimation.estimate import Estimate, LawError, ParameterSet
@@ -98,7 +97,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         mean_dwell_time=likeliest.mean_dwell_time,
         law_error=solved.law_error,
         plateau_probability=mismatch_probability,
-        softening=_softening(best, *whole_state),
         at_edge=at_edge,
         is_order_contradicted=any(_contradicts_order(one) for one, _ in likely),
         with_origin=tuple(covariance[_ORIGIN, :_ORIGIN].tolist()),
@@ -137,18 +135,6 @@ def _of_law(component: Component, one: Hypothesis) -> Component:
     covariance[_ORIGIN, _ORIGIN] = by_origin @ with_origin
     covariance[:2, :2] += one.setting.config.uncertainty.thickness_sd**2
     return Component(weight, mean, covariance)
-
-
-def _softening(one: Hypothesis, mean: Array, covariance: Array) -> tuple[float, float] | None:
-    """Return G over what it was at the last press, and its standard deviation; None: was none.
-
-    `mean`, `covariance`: of its whole state.
-    """
-    if one.solved is None or one.setting.carried is None:
-        return None
-    by_state = one.solved.model.surface.by_softening
-    ratio = one.solved.model.surface.softening(mean)
-    return ratio, ratio * math.sqrt(max(float(by_state @ covariance @ by_state), 0.0))
 
 
 def _claims(press: PressPosterior, one: Hypothesis, own: list[Component]) -> Claims:

@@ -68,20 +68,9 @@ class TissueSurface:
     free: FreeSurface | None  #: None: the tissue is at rest before the press
     _moments: tuple[Points, Array] | None = None
 
-    def __post_init__(self) -> None:
-        """Find by what unknowns change ln G since the last press, which left less or more."""
-        self.by_softening = np.zeros(self.characteristic.stop)
-        self.by_softening[: len(self.unknowns)] = [
-            u.of_law[LOG_G] if u.of_law else 0.0 for u in self.unknowns
-        ]
-
     def __getstate__(self) -> dict[str, Any]:
         """Return it without what the last record has decided: that is found anew."""
         return self.__dict__ | {"_moments": None}
-
-    def softening(self, state: Array) -> float:
-        """Return the factor of the stiffness since the last press [1]."""
-        return math.exp(float(self.by_softening @ state))
 
     def changes(self, state: Array) -> tuple[Array, Array]:
         """Return the sizes of the changes [1] and their times [s]."""
@@ -142,14 +131,11 @@ class TissueSurface:
         moments, order = self._moments[1], order_of(state)
         own = KERNEL_HATS[: RATES.size, : self.kernel.stop - self.kernel.start]
         bend = np.exp(-(own @ state[self.kernel]))
-        factor = self.softening(state)
-        weights = factor * creep_weights(order) * bend
+        weights = creep_weights(order) * bend
         lifted = np.zeros((self.characteristic.stop, points.times.size))
-        lifted[ORDER] = factor * moments @ (creep_slopes(order) * bend)
+        lifted[ORDER] = moments @ (creep_slopes(order) * bend)
         lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
-        surface = moments @ weights
-        lifted += np.outer(self.by_softening, surface)
-        return surface, lifted
+        return moments @ weights, lifted
 
     def _change(self, points: Points, state: Array) -> Array | None:
         """Return the part of the elastic response that changes add; None: there are none."""

@@ -19,11 +19,9 @@ from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import FreeSurface, PressModel
-from fden_ros.core.estimation.proposals import functions
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.unknowns import (
-    LAW_PLACES,
     LINEAR_DELAY,
     ORIGIN,
     Lifetime,
@@ -182,8 +180,6 @@ class PressSetting:
         unknowns = unknowns_of(
             config, self.geometry, self.origin_sd, self.drift_sd, self.touch_speed
         )
-        if self.carried is not None and self.carried.is_sound:
-            unknowns += tuple(one for of_press in functions("unknowns") for one in of_press())
         unknowns += events
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
@@ -219,21 +215,6 @@ class PressSetting:
         return Belief(mean, precision)
 
 
-def _count_changes(precision: Array, model: PressModel) -> None:
-    """Let what an earlier press has told be told of the law before its changes since.
-
-    With the law's parameters x now and a change of them by c times an unknown s, it is told of
-    x - c s.
-    """
-    for k, unknown in enumerate(model.unknowns):
-        if unknown.of_law is None:
-            continue
-        by_change = precision[:, LAW_PLACES] @ np.array(unknown.of_law)
-        precision[k, k] += by_change[LAW_PLACES] @ np.array(unknown.of_law)
-        precision[k] -= by_change
-        precision[:, k] -= by_change
-
-
 def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Belief, bool]:
     """Return the belief after an earlier press; and whether the law's errors are open anew."""
     before = carried.model
@@ -253,5 +234,4 @@ def _taken_over(carried: Carried, model: PressModel, first: Belief) -> tuple[Bel
     # So that rounding leaves the variances positive.
     scaled = covariance / np.outer(scale, scale) + 1e-9 * np.eye(scale.size)
     precision[np.ix_(places, places)] = np.linalg.inv(scaled) / np.outer(scale, scale)
-    _count_changes(precision, model)
     return Belief(mean, precision), model.is_bent and not has_fields

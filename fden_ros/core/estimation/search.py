@@ -23,7 +23,6 @@ from fden_ros.core.estimation.maxima import (
     find_maxima,
     follow_maxima,
 )
-from fden_ros.core.estimation.mixture import MaybeZero
 from fden_ros.core.estimation.parts import Limit, Parts
 from fden_ros.core.estimation.plateau import Question, log_odds
 from fden_ros.core.estimation.posterior import Posterior
@@ -70,20 +69,7 @@ class Solved:
     @property
     def log_evidence(self) -> float:
         """Log evidence of the record, for what was known before it."""
-        found = self.solutions.total + self.posterior.log_prior_density
-        for unknown in self.maybe_zero:
-            gains = [(c.weight, unknown.log_gain(c)) for c in self.solutions.components]
-            found += math.log(sum(weight * math.exp(gain) for weight, gain in gains))
-        return found
-
-    @property
-    def maybe_zero(self) -> tuple[MaybeZero, ...]:
-        """Unknowns that may be exactly 0."""
-        return tuple(
-            MaybeZero(k, unknown.sd**2, unknown.log_odds_of_zero)
-            for k, unknown in enumerate(self.model.unknowns)
-            if unknown.log_odds_of_zero is not None
-        )
+        return self.solutions.total + self.posterior.log_prior_density
 
     @property
     def best(self) -> Solution:

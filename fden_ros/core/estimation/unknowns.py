@@ -63,10 +63,6 @@ class Unknown:
     stress: Callable[[Points], Array] | None = None
     #: It is a change of the stiffness at this time [s], relative to the first stiffness.
     since: float | None = None
-    #: It may be exactly 0: the logarithm of these odds [1]; None: it is not.
-    log_odds_of_zero: float | None = None
-    #: By what one standard deviation of it changes (ln G, ln Gn, alpha) since the last press [1].
-    of_law: tuple[float, float, float] | None = None
     #: It is a delay that shifts the motion by interpolation, about a touch at this speed [1/s].
     touch_speed: float | None = None
 

@@ -3,14 +3,8 @@
 
 """Hypotheses about a record, one a file; to add one, add a file.
 
-A file has one or more of these functions:
-
-- `propose(posterior, points, maxima, strain)` gives, in parts, what it adds to the maxima of a
-  posterior (:class:`~fden_ros.core.estimation.maxima.Proposed`).
-- `unknowns()` gives unknowns of a press into tissue that was pressed before, each of which
-  may be exactly 0 (:attr:`~fden_ros.core.estimation.unknowns.Unknown.log_odds_of_zero`).
-- `rival(question, law)` gives, in parts, another law that the tissue may have
-  (:class:`~fden_ros.core.estimation.rivals.Rival`), or None.
+Its function `propose(posterior, points, maxima, strain)` gives, in parts, what it adds to the
+maxima of a posterior (:class:`~fden_ros.core.estimation.maxima.Proposed`).
 """
 
 from __future__ import annotations
