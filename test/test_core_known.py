@@ -42,7 +42,7 @@ from fden_ros.core.estimation import (
 from fden_ros.core.law import FlatPunch
 from fden_ros.core.lift_off import LiftOff
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
-from fden_ros.offline.remarks import remarks
+from fden_ros.offline.advice import remarks
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row
 from fden_ros.report.table import status_words

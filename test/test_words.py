@@ -35,8 +35,7 @@ from fden_ros.core.outputs import (
     Flag,
 )
 from fden_ros.core.stiffness import apparent_stiffness_of
-from fden_ros.offline.advice import shortfall
-from fden_ros.offline.remedies import WORDS
+from fden_ros.offline.advice import BY_FLAG, BY_SOURCE, findings, shortfall
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.report.numbers import result
@@ -175,24 +174,21 @@ def lacking(
     return words, contact
 
 
-#: What may be stated or measured against each source of the variance.
-REMEDIES = {
-    "friction": "force.friction_sd",
-    "noise": "a face of 38 mm or a strain of 0.46",
-    "drift": "force.drift_sd",
-    "motion": "surface.motion_sd",
-    "compliance": "displacement.compliance_sd",
-    "delay": "fden configure",
-    "surface": "touch it slower",
-    "thickness": "geometry.thickness_sd",
-}
-
-
-@pytest.mark.parametrize("source", REMEDIES)
+@pytest.mark.parametrize("source", SOURCES)
 def test_the_largest_source_is_named_with_its_share_and_its_remedy(source):
     words, _ = lacking(source, 1, 0.12)
-    assert words.startswith("Gn is known to 12 % only") and f"{WORDS[source]} 90 %" in words
-    assert [one for one in REMEDIES if REMEDIES[one] in words] == [source]
+    assert words.startswith("Gn is known to 12 % only")
+    assert f"{BY_SOURCE[source].sentence} 90 %" in words
+    assert words.endswith(BY_SOURCE[source].remedy)
+
+
+def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
+    config = PipelineConfig(None, geometry=FlatPunch(math.pi * RADIUS**2, 0.02))
+    # Rejected samples are counted, and a limit of the prior is named by its parameter.
+    for flag in set(Flag) - {Flag.INPUT_REJECTED, Flag.AT_PRIOR_LIMIT}:
+        found = list(findings(summary(flags=flag), config))
+        assert found == [BY_FLAG[flag]] and found[0].remedy
+    assert not list(findings(summary(), config))
 
 
 def test_a_hidden_surface_leaves_the_slope_of_the_force():

@@ -122,8 +122,7 @@ def _shown(result: Replay, as_json: bool) -> int:
 
 def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     """Return what the contacts lack that have not converged, a line each."""
-    from fden_ros.offline.advice import shortfall
-    from fden_ros.offline.remarks import against_the_law
+    from fden_ros.offline.advice import against_the_law, shortfall
     from fden_ros.parameters import pipeline_config
 
     if parameters.core.is_continuous or result.has_strokes:

@@ -18,8 +18,8 @@ from rich.text import Text
 from fden_ros.control import Cause, Refusal
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
+from fden_ros.offline.advice import against_the_law
 from fden_ros.offline.known import knows_stiffness_alone
-from fden_ros.offline.remarks import against_the_law
 from fden_ros.report.numbers import DASH, law, stiffness
 from fden_ros.report.table import contact_table
 from fden_ros.written import written

@@ -17,7 +17,7 @@ from fden_ros import __version__
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, is_path
-from fden_ros.offline.remarks import remarks
+from fden_ros.offline.advice import remarks
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
 from fden_ros.report import plots
 from fden_ros.report.numbers import DASH, law, order, parameter, result, stiffness
@@ -226,7 +226,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "row": _row(summary, on_path=False, alone=alone),
         "start": f"{(summary.start_ns - session.start_ns) * 1e-9:.2f}",
         "place": place,
-        "remarks": list(remarks(summary, session.config, alone=alone)),
+        "remarks": list(remarks(summary, session.config)),
         "drawings": drawings,
         "law": law(summary.estimate),
         "test": contact.innovations.test,

@@ -12,7 +12,7 @@ from fden_ros.core.classification import UNKNOWN
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import ContactSummary, Flag, is_path
-from fden_ros.offline.advice import cure
+from fden_ros.offline.advice import next_step
 from fden_ros.offline.session import Session
 from fden_ros.report.numbers import DASH, stiffness
 from fden_ros.written import written
@@ -40,20 +40,6 @@ def sentence(session: Session) -> str:
         words = _what(place, session.geometry) + (f"; {remedy}" if remedy else "")
         parts.append(words if len(places) == 1 else f"site {place.site_id}: {words}")
     return _sentence(". ".join(part[0].upper() + part[1:] for part in parts))
-
-
-def next_step(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what to do so that more of a place is known; empty where all is."""
-    estimate, flags = summary.estimate, summary.flags
-    if flags & Flag.IMPLAUSIBLE:
-        return "check the units"
-    if flags & Flag.GEOMETRY_UNSTATED:
-        return "state probe and tissue (geometry) for G and Gn"
-    if remedy := cure(summary, config):
-        return remedy
-    if estimate is None or estimate.at_edge:
-        return "see what stands against an estimate"
-    return "" if estimate.determines(2) else "hold for 2 s for alpha"
 
 
 def _what(place: ContactSummary, geometry: Geometry) -> str:
