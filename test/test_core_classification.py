@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, summaries_of
 from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
@@ -30,10 +28,9 @@ from fden_ros.core.classification.labelling import Decider
 from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
     compare,
-    stack,
 )
 from fden_ros.core.estimation import Prior
-from fden_ros.core.law import LogStiffness, log_stiffness
+from fden_ros.core.law import LogStiffness
 from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.parameters import check, pipeline_config
@@ -87,22 +84,6 @@ def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     assert probability(liver, "liver") > 0.95
     stiff = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
     assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
-
-
-@steady
-@given(
-    mean=st.tuples(st.floats(-5.0, 15.0), st.floats(-3.0, 6.0), st.floats(0.0, 1.0)),
-    sd=st.tuples(*[st.floats(1e-6, 5.0)] * 3),
-    order_counts=st.booleans(),
-    degrees=st.floats(1.0, 1000.0),
-)
-def test_probabilities_are_probabilities(mean, sd, order_counts, degrees):
-    library = replace(LIBRARY, tissues=(replace(LIVER, degrees_of_freedom=degrees),))
-    result = classify(library, seen(mean, sd, prior=PRIOR, order_counts=order_counts))
-    assert len(result.probabilities) == len(LIBRARY.class_names)
-    assert math.fsum(result.probabilities) == pytest.approx(1.0)
-    assert all(0.0 <= p <= 1.0 for p in (*result.probabilities, result.p_value))
-    assert result.label == LIBRARY.class_names[int(np.argmax(result.probabilities))]
 
 
 def test_evidence_is_the_density_of_the_estimate_under_spread_and_error():
@@ -271,15 +252,6 @@ def test_no_label_before_the_estimate_has_converged():
     assert summary.decided == first.decided
 
 
-def test_repeated_contact_of_a_site_decides_with_all_that_is_known():
-    outputs = pressed(LIBRARY, HOLD, repeat=2)
-    first, second = summaries_of(outputs)
-    assert second.site_id == first.site_id
-    assert second.classes.label == "liver"
-    # The estimate of the second holds the first: no need to press so far again.
-    assert second.decided.strain < first.decided.strain
-
-
 # A place against its surroundings
 
 
@@ -296,17 +268,6 @@ def drawn(rng, *, natural=0.1, sd=0.05, count=30, ratio=1.0):
     own = rng.normal(0.0, natural, count) + rng.normal(0.0, sd, count)
     mine = math.log(ratio) + rng.normal(0.0, sd)
     return place(mine, sd), around(own, sd)
-
-
-@pytest.mark.parametrize("strain", [0.05, 0.2])
-def test_error_of_log_stiffness_is_that_of_drawn_parameters(strain):
-    rng = np.random.default_rng(0)
-    mean = np.array([6.0, 2.0, 0.2])
-    covariance = np.array([[4e-4, -1e-4, 1e-5], [-1e-4, 4e-4, 0.0], [1e-5, 0.0, 1e-5]])
-    draws = rng.multivariate_normal(mean, covariance, 100_000)
-    scatter = np.std(log_stiffness(draws, np.zeros((100_000, 3, 3)), strain, 0.1).value)
-    found = math.sqrt(float(log_stiffness(mean, covariance, strain, 0.1).variance))
-    assert found == pytest.approx(scatter, rel=0.02)
 
 
 def test_ratio_and_interval_hold_the_truth():
@@ -328,11 +289,11 @@ def test_lesions_among_the_surroundings_do_not_hide_a_lesion():
     lesions = rng.normal(math.log(4.0), 0.1, 8)
     compared = compare(place(math.log(4.0), 0.02), around([*healthy, *lesions], 0.02))
     assert compared.ratio == pytest.approx(4.0, rel=0.12)
-    assert compared.count == pytest.approx(24.0, abs=4.0)
+    assert compared.degrees_of_freedom == pytest.approx(23.0, abs=4.0)
     assert compared.log_ratio > 6.0 * math.hypot(compared.log_ratio_sd, 0.1)
 
 
 def test_too_few_surroundings_make_no_comparison():
     assert compare(place(0.0), around([0.0] * (LEAST_SURROUNDINGS - 1))) is None
-    assert compare(place(0.0), stack([])) is None
+    assert compare(place(0.0), around([])) is None
     assert compare(place(0.0, 0.1), around([0.0] * LEAST_SURROUNDINGS)) is not None

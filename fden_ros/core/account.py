@@ -57,7 +57,7 @@ class Account:
         self._position, self._start_ns = onset.samples[0].position, onset.samples[0].stamp_ns
         self._common, self._config = common, config
         self._labelling = Labelling(
-            common.labeller, site.site_id, site.position, self._start_ns, site.change_count
+            common.labeller, site.site_id, self._start_ns, site.change_count
         )
         self._own_flags = Flag.NONE
         self._phase = PhaseMeter()

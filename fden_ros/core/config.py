@@ -119,6 +119,5 @@ def labeller_of(config: PipelineConfig) -> Labeller:
     """Return how contacts are labelled."""
     surroundings = None
     if config.classification == "relative":
-        axis, time_scale = config.contact.approach_axis, config.apparent_stiffness_time_scale
-        surroundings = Surroundings(config.relative, time_scale, axis)
+        surroundings = Surroundings(config.relative, config.apparent_stiffness_time_scale)
     return Labeller(config.library, config.estimator, config.decision, surroundings)

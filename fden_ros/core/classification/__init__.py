@@ -6,7 +6,6 @@
 from fden_ros.core.classification.classifier import (
     UNKNOWN,
     ClassProbabilities,
-    Likelihood,
     Tissue,
     TissueLibrary,
     likelihood_of,
@@ -33,7 +32,6 @@ __all__ = [
     "DecisionConfig",
     "Labeller",
     "Labelling",
-    "Likelihood",
     "RelativeConfig",
     "Surroundings",
     "Tissue",

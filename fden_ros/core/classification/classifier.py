@@ -22,13 +22,9 @@ over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K
    + \tfrac12 \sum_i \left[ \frac{h_i^2}{\lambda_i + g} - \ln(1 + \lambda_i / g) \right],
    \qquad m = \mu - c, \quad h = V^T K^T (s - \Lambda m).
 
-``unknown`` is one more class, as wide as soft tissue is. Beside it stands an open-set test:
-``p_value`` is the share of contacts with the best fitting tissue that lie as far from its
-centre as this one, or farther (Mahalanobis distance against chi-squared or, with few specimens,
-F). A place whose p_value is below the significance is unknown, however small the prior of that.
-
-References: A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, ch. 3 and 17; C. Bishop,
-Pattern Recognition and Machine Learning, 2006, 2.3.7.
+``unknown`` is one more class, as wide as soft tissue is. ``p_value`` is the share of contacts with
+the best fitting tissue that lie as far from its centre as this one, or farther: a place whose
+p_value is below the significance is unknown, however small the prior of that.
 """
 
 from __future__ import annotations

@@ -19,10 +19,10 @@ from fden_ros.core.classification.classifier import (
 from fden_ros.core.classification.relative import Comparison, Surroundings
 from fden_ros.core.estimation import Estimate, EstimatorConfig
 from fden_ros.core.parameter import parameter
-from fden_ros.core.streams import NANOSECONDS, Position
+from fden_ros.core.streams import NANOSECONDS
 
 #: An unknown place becomes known when its p_value exceeds the significance by this factor.
-_TEST_RIG_PRIOR_CONFLICT = 2.0
+_KNOWN_AGAIN = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,7 @@ class DecisionConfig:
 
 
 class Decider:
-    """The label of one contact.
-
-    Examples
-    --------
-    >>> decider = Decider(DecisionConfig())
-    >>> names = ("liver", "muscle", "unknown")
-    >>> decider.update(0, ClassProbabilities("liver", names, (0.6, 0.3, 0.1)))
-    ''
-    >>> decider.update(10**8, ClassProbabilities("liver", names, (0.8, 0.1, 0.1)))
-    'liver'
-    >>> decider.update(2 * 10**8, ClassProbabilities("muscle", names, (0.2, 0.75, 0.05)))
-    'liver'
-    >>> decider.update(4 * 10**8, ClassProbabilities("muscle", names, (0.2, 0.75, 0.05)))
-    'muscle'
-    """
+    """The label of one contact."""
 
     def __init__(self, config: DecisionConfig) -> None:
         self.label = ""
@@ -92,7 +78,7 @@ class Decider:
             return ""
         own = dict(zip(classes.names, classes.probabilities, strict=True))
         is_unknown = self.label == UNKNOWN
-        limit = config.significance * (_TEST_RIG_PRIOR_CONFLICT if is_unknown else 1.0)
+        limit = config.significance * (_KNOWN_AGAIN if is_unknown else 1.0)
         if classes.p_value < limit:
             return UNKNOWN
         best = max(own, key=lambda name: own[name])
@@ -159,7 +145,7 @@ class Labeller:
             self.surroundings.forget(site_id)
 
     def classes(
-        self, site_id: int, position: Position | None, estimate: Estimate
+        self, site_id: int, estimate: Estimate
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
         config = self.estimator
@@ -170,7 +156,7 @@ class Labeller:
             order_counts=config.learns_fractional_order,
         )
         if self.surroundings is not None:
-            return self.surroundings.classes(site_id, position, estimate, likelihood)
+            return self.surroundings.classes(site_id, estimate, likelihood)
         if self.library is not None:
             return classify(self.library, likelihood, self.decision.significance), None
         return None, None
@@ -179,19 +165,18 @@ class Labeller:
 class Labelling:
     """The label of one contact with a site.
 
-    `position` is that of the site [m], whose tissue has changed `change_count` times before.
+    The site's tissue has changed `change_count` times before.
     """
 
     def __init__(
         self,
         labeller: Labeller,
         site_id: int,
-        position: Position | None,
         start_ns: int,
         change_count: int,
     ) -> None:
         self._labeller = labeller
-        self._site_id, self._position = site_id, position
+        self._site_id = site_id
         self._start_ns, self._change_count = start_ns, change_count
         self._is_mismatch = False  # as was said last
         self._decider = Decider(labeller.decision)
@@ -261,7 +246,7 @@ class Labelling:
         self, stamp_ns: int, estimate: Estimate, max_strain: float, *, last: bool = False
     ) -> ClassProbabilities | None:
         """Return the probabilities with the label that stands; None: nothing can be said."""
-        classes, comparison = self._labeller.classes(self._site_id, self._position, estimate)
+        classes, comparison = self._labeller.classes(self._site_id, estimate)
         self._answer = replace(self._answer, comparison=comparison)
         if classes is None:
             return None
