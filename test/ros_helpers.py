@@ -57,12 +57,8 @@ LATCHED = QoSProfile(
 PATIENT = {"synchronize.max_wait": 60.0}
 #: Nothing may be lost where every number is compared.
 LOSSLESS: dict[str, Any] = {
-    f"qos_overrides./{topic}.subscription.{policy}": value
+    f"qos_overrides./{topic}.subscription.reliability": "reliable"
     for topic in ("force", "displacement", "tf")
-    for policy, value in (("reliability", "reliable"), ("depth", 20000))
-} | {
-    "qos_overrides./identifier/estimate.publisher.depth": 10000,
-    "qos_overrides./identifier/classification.publisher.depth": 1000,
 }
 
 

@@ -37,7 +37,7 @@ from benchmark.measured import hold_order, read_tests
 from benchmark.score import Judged, Share
 from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
-from fden_ros.nodes.backlog import Backlog, Input, Message
+from fden_ros.nodes.backlog import Backlog
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
 from simulation.scenario import ramp_scenario
@@ -397,43 +397,43 @@ def test_a_run_through_the_node_measures_all():
         assert "late ticks [%]" in names and len(set(names)) == len(names)
 
 
+class Read:
+    """Stands where the inputs do and notes what comes."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+        self.newest = {"force": 0.0, "displacement": 0.0}
+        self.apart: list[float] = []
+
+    def add(self, stream: str, value: float, received: int | None) -> None:
+        self.values.append(value)
+        self.newest[stream] = value
+        self.apart.append(abs(self.newest["force"] - self.newest["displacement"]))
+
+
 def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
-    read: list[bytes] = []
-    incoming = [Message(b"%d" % number, number) for number in range(30_000)]
-    coming = [incoming]
-    source = Input("force", lambda: coming.pop() if coming else [], read.append)
-    backlog = Backlog()
-    backlog.inputs.append(source)
+    read, coming = Read(), [[(b"%d" % number, number) for number in range(30_000)]]
+    backlog = Backlog(read, is_restamped=False)
+    backlog.add("force", lambda: coming.pop() if coming else [], float)
     backlog.work()
     while backlog.waiting:
         backlog.work()
     assert backlog.dropped["force"] == 10_000
-    assert [int(data) for data in read] == list(range(10_000, 30_000))
-    assert (backlog.received["force"], backlog.most_waiting) == (20_000, 30_000)
+    assert read.values == list(range(10_000, 30_000))
+    assert backlog.received["force"] == 20_000
     assert backlog.received_ns == 29_999
 
 
 def test_streams_that_waited_together_are_worked_off_side_by_side():
     """After a pause, at whatever rates: neither is far ahead of the other."""
-    read: list[float] = []
-    apart: list[float] = []
-    newest = {"force": 0.0, "displacement": 0.0}
-
-    def stream(name: str, rate: float) -> Input:
-        came = [[Message(b"%r" % (k / rate), k) for k in range(round(20.0 * rate))]]
-
-        def take_in(data: bytes) -> None:
-            newest[name] = float(data)
-            read.append(newest[name])
-            apart.append(abs(newest["force"] - newest["displacement"]))
-
-        return Input(name, lambda: came.pop() if came else [], take_in)
-
-    backlog = Backlog()
-    backlog.inputs += [stream("force", 500.0), stream("displacement", 60.0)]
-    while len(read) < 20 * 560:
+    read = Read()
+    backlog = Backlog(read, is_restamped=False)
+    for name, rate in (("force", 500.0), ("displacement", 60.0)):
+        came = [[(b"%r" % (k / rate), k) for k in range(round(20.0 * rate))]]
+        backlog.add(name, lambda came=came: came.pop() if came else [], float)
+    while len(read.values) < 20 * 560:
         backlog.work()
-    assert max(apart) < 2.0 / 60.0
+    assert max(read.apart) < 2.0 / 60.0
 
 
 def test_stiffness_of_a_spring_and_dashpot_is_withheld_in_the_hold(monkeypatch):

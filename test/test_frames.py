@@ -34,10 +34,9 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.recording.message_types import serialize, type_hash
+from fden_ros.recording.message_types import type_hash
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.ros.decoding import fast_handler
 from fden_ros.ros.inputs import Inputs
 from fden_ros.ros.messages import to_stamp
 from simulation.bag import PARAMETER_FILE
@@ -169,19 +168,13 @@ def by_messages(
     force: Callable[[Item], np.ndarray],
     pose: Callable[[Item], Pose],
     parameters: dict[str, Any],
-    *,
-    is_fast: bool = True,
 ) -> Outcome:
-    """Feed forces and poses of the first press as messages, or as the bytes of messages."""
+    """Feed forces and poses of the first press as messages."""
     s = first_press()
     values = check(s.parameters | parameters)
     outputs: list[Any] = []
     pipeline = Pipeline(pipeline_config(values), outputs.append)
     inputs = Inputs(values, pipeline)
-    handlers = {
-        name: fast_handler(name, f"geometry_msgs/msg/{kind.__name__}", inputs)
-        for name, kind in MESSAGES.items()
-    }
     for item in s.items:
         name = "force" if item.stream == FORCE else "displacement"
         message: Any = MESSAGES[name]()
@@ -194,10 +187,7 @@ def by_messages(
             part, turned = message.pose.position, message.pose.orientation
             part.x, part.y, part.z = map(float, at)
             turned.x, turned.y, turned.z, turned.w = map(float, turn.as_quat())
-        if is_fast:
-            handlers[name](serialize(message))  # type: ignore[misc]
-        else:
-            inputs.add(name, message)
+        inputs.add(name, message)
     pipeline.finish()
     return Outcome(pipeline, tuple(outputs))
 
@@ -207,10 +197,7 @@ def by_messages(
 MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
 
 
-@pytest.mark.parametrize("is_fast", [False, True])
-def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gives(
-    is_fast, still
-):
+def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gives(still):
     def turn(item: Item) -> Rotation:
         return turn_of(first_press().second(item.stamp_ns))
 
@@ -221,7 +208,7 @@ def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gi
     def pose(item: Item) -> Pose:
         return np.array(item.position), turn(item)
 
-    assert_alike(by_messages(force, pose, {"tool.mass": MASS}, is_fast=is_fast), still)
+    assert_alike(by_messages(force, pose, {"tool.mass": MASS}), still)
 
 
 # A probe that advances along its own axis: tilted approaches against the truth

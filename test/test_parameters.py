@@ -565,12 +565,6 @@ EFFECTS: dict[str, Effect] = {
         "relative",
         lambda a, b: compared(a, b) == [False, True],
     ),
-    "classification.ratio": (
-        "row",
-        RELATIVE,
-        3.0,
-        lambda a, b: labels(a, b) == ("stiffer", "alike"),
-    ),
 }
 
 

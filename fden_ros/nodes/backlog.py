@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node's messages: taken out of the middleware by a timer, worked off, and counted.
+"""The node's messages: taken out of the middleware by a timer, decoded, worked off, and counted.
 
-An event of the executor for every message would cost more than reading it: no executor waits for
-these subscriptions, and a timer takes what has come, the streams side by side. While the node
-computes it takes again after every 32 messages, before the middleware's queues overflow. What is
-too much even for that, the oldest, is dropped and counted.
+A typed subscription costs 75 us a message, 20 us this: no executor waits for these subscriptions,
+and a timer takes what has come. While the node computes it takes again after every 32 messages,
+before the middleware's queues overflow. The oldest of what is too much is dropped and counted.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,48 +21,66 @@ from rclpy.event_handler import QoSSubscriptionEventType, UnsupportedEventTypeEr
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.subscription import Subscription
 
-#: Messages are taken so often [s]. Receiving one costs 52 us with an event for each, 24 us where
-#: they are taken every 5 ms, and 15 us every 10 ms, which would make estimates 5 ms older.
+from fden_ros.recording.message_types import decoder
+from fden_ros.ros.inputs import DAMAGED, Inputs, stream_of
+
+#: Messages are taken so often [s].
 TAKE_PERIOD = 0.005
-#: While messages are worked off, more are taken after every 32.
 _TAKE_EVERY = 32
-#: Other timers and services get their turn after at most 50 ms of working off [s].
+#: Timers and services get their turn after 50 ms of working off [s].
 _LONGEST_TURN = 0.05
 #: More waiting messages than this are dropped, the oldest first: 2 s of two streams at 5 kHz.
 _MOST_WAITING = 20_000
 
 
-class Message(NamedTuple):
-    """A message as it was taken."""
+class Taken(ReentrantCallbackGroup):
+    """Of subscriptions that no executor waits for; their node leaves them out."""
 
+
+#: Returns bytes of messages, and when the middleware received each, by the system's clock [ns].
+Take = Callable[[], list[tuple[bytes, int]]]
+
+
+class _Waiting(NamedTuple):
+    stream: str
     data: bytes
-    received_ns: int  #: when the middleware received it, by the system's clock
-
-
-@dataclass(frozen=True)
-class Input:
-    """One subscription: what takes all that has come, and what reads one message."""
-
-    name: str
-    take: Callable[[], list[Message]]
-    read: Callable[[bytes], None]
+    received_ns: int
 
 
 class Backlog:
-    """Messages that wait, in the order of each stream."""
+    """Messages that wait, in the order of each stream.
 
-    def __init__(self) -> None:
-        self.inputs: list[Input] = []
+    Where `is_restamped`, their time is that of their receipt.
+    """
+
+    def __init__(self, inputs: Inputs, *, is_restamped: bool) -> None:
+        self._inputs, self._is_restamped = inputs, is_restamped
         self.received: Counter[str] = Counter()  #: read so far, by the name of the input
         self.dropped: Counter[str] = Counter()
-        self.most_waiting = 0
         self.received_ns = 0  #: of the message that is read, or was last
-        self._waiting: deque[tuple[Input, Message]] = deque()
+        self._takes: dict[str, Take] = {}
+        self._decoders: dict[str, Callable[[bytes], Any]] = {}
+        self._losses: dict[str, Callable[[], int]] = {}
+        self._waiting: deque[_Waiting] = deque()
 
     @property
     def waiting(self) -> int:
         """How many messages wait here."""
         return len(self._waiting)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages lost so far in the middleware, by the name of the input."""
+        return Counter({stream: count() for stream, count in self._losses.items()})
+
+    def listen(self, stream: str, kind: str, subscription: Subscription) -> None:
+        """Take the messages of a raw subscription, of the type `kind`, from now on."""
+        self._losses[stream] = _loss_counter(subscription)
+        self.add(stream, partial(_taken, subscription), decoder(kind))
+
+    def add(self, stream: str, take: Take, decode: Callable[[bytes], Any]) -> None:
+        """Take what `take` returns from now on."""
+        self._takes[stream], self._decoders[stream] = take, decode
 
     def work(self) -> None:
         """Take what has come, and work it off for a turn."""
@@ -73,62 +89,52 @@ class Backlog:
         self._take()
         while waiting and time.monotonic() < end:
             for _ in range(min(_TAKE_EVERY, len(waiting))):
-                source, message = waiting.popleft()
-                self.received[source.name] += 1
-                self.received_ns = message.received_ns
-                source.read(message.data)
+                self._read(waiting.popleft())
             self._take()
 
     def clear(self) -> None:
         """Forget what waits, and where it came from."""
         self._waiting.clear()
-        self.inputs.clear()
+        self._takes.clear()
+        self._losses.clear()
+
+    def _read(self, one: _Waiting) -> None:
+        self.received[one.stream] += 1
+        self.received_ns = one.received_ns
+        try:
+            message = self._decoders[one.stream](one.data)
+        except Exception:  # decoders raise many kinds for bytes that do not fit
+            self._inputs.reject(stream_of(one.stream), DAMAGED)
+            return
+        received = one.received_ns if self._is_restamped else None
+        self._inputs.add(one.stream, message, received)
 
     def _take(self) -> None:
-        self._waiting.extend(_side_by_side(self.inputs))
-        self.most_waiting = max(self.most_waiting, len(self._waiting))
+        """Take what has come, the streams side by side: pairing waits for no stream for long."""
+        found = []
+        for stream, take in self._takes.items():
+            taken = take()
+            found += [(k / len(taken), _Waiting(stream, *one)) for k, one in enumerate(taken, 1)]
+        found.sort(key=lambda one: one[0])
+        self._waiting.extend(one for _, one in found)
         while len(self._waiting) > _MOST_WAITING:
-            source, _ = self._waiting.popleft()
-            self.dropped[source.name] += 1
+            self.dropped[self._waiting.popleft().stream] += 1
 
 
-def _side_by_side(inputs: list[Input]) -> list[tuple[Input, Message]]:
-    """Take what waits of every stream, all over the same time; return it in the order of that.
-
-    One stream after the other, the first would wait for its partners longer than the pairing does.
-    """
-    found = []
-    for source in inputs:
-        taken = source.take()
-        found += [((k + 0.5) / len(taken), source, one) for k, one in enumerate(taken)]
-    found.sort(key=lambda one: one[0])
-    return [(source, message) for _, source, message in found]
-
-
-class Taken(ReentrantCallbackGroup):
-    """Of subscriptions that no executor waits for; their node leaves them out."""
-
-
-def taker(subscription: Subscription) -> Callable[[], list[Message]]:
-    """Return what takes the messages of a raw subscription that have come."""
+def _taken(subscription: Subscription) -> list[tuple[bytes, int]]:
     handle = subscription.handle
     take_one = partial(handle.take_message, subscription.msg_type, True)
-
-    def take() -> list[Message]:
-        with handle:
-            # A middleware that does not know when it received a message says 0.
-            return [
-                Message(data, info["received_timestamp"] or time.time_ns())
-                for data, info in iter(take_one, None)
-            ]
-
-    return take
+    with handle:
+        return [
+            (data, info["received_timestamp"] or time.time_ns())
+            for data, info in iter(take_one, None)
+        ]
 
 
-def loss_counter(subscription: Subscription) -> Callable[[], int]:
+def _loss_counter(subscription: Subscription) -> Callable[[], int]:
     """Return what counts the messages that the middleware has lost so far.
 
-    It is asked. As an event of the executor it would wake some with every message.
+    As an event of the executor it would wake some with every message.
     """
     kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
     try:

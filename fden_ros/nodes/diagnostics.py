@@ -15,14 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 
-from fden_ros.nodes.input_problems import (
-    ListenedTo,
-    clock_problem,
-    lost_problem,
-    pairing_problem,
-)
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.nodes.input_problems import clock_problem, pairing_problem, second_publisher
 from fden_ros.nodes.session import Session
-from fden_ros.ros.inputs import TRANSFORM_TOPICS
 from fden_ros.ros.status import PipelineProblems, diagnostic_status, status_of
 
 _PERIOD = 1.0
@@ -88,84 +83,78 @@ class _Report:
 
     def __init__(self, node: LifecycleNode, session: Session) -> None:
         self._node, self._session = node, session
+        self._estimates = node.resolve_topic_name("~/estimate")
         self._pipeline_problems = PipelineProblems(session.pipeline)
         self._said: set[str] = set()
         self._seen_before: set[str] = set()
-        self._warned: dict[str, float] = {}
+        self._logged: dict[str, float] = {}
         self._has_paired = False
         self._fastest: Counter[str] = Counter()
-        self._received_before: Counter[str] = Counter()
-        self._lost_before: Counter[str] = Counter()
-        self._dropped_before: Counter[str] = Counter()
+        self._before: dict[str, Counter[str]] = {}
 
     def status(self, name: str, refusal: str) -> DiagnosticStatus:
         """Return the status of the last second; log what is new."""
         session, pipeline = self._session, self._session.pipeline
-        news = self._pipeline_problems.look()
-        backlog = session.backlog
-        received = backlog.received - self._received_before
-        self._received_before = backlog.received.copy()
-        lost = self._lost_messages(received)
-        lags = session.lag.look()
-        slow = [lags.problem] if lags.problem else []
-        if news.rejected:
-            counts = ", ".join(f"{k} {n}" for k, n in sorted(pipeline.rejected.items()))
-            self._warn(
-                "rejected",
-                f"{news.rejected} samples rejected in the last second, by reason so far: {counts}",
-            )
-        for words in news.warnings:
-            self._warn(words, words)
-        for words in slow:
-            self._warn("slow", words)
-        for number, words in enumerate(lost):
-            self._warn(f"lost {number}", words)
+        backlog, news = session.backlog, self._pipeline_problems.look()
+        received = self._new("received", backlog.received)
+        lost = self._lost(received)
+        most_lag, slow = session.lag.look()
+        errors = second_publisher(self._node, self._estimates)
+        for kind, words in (
+            *((one, one) for one in news.warnings),
+            *(("rejected", _rejected(pipeline)) for _ in range(min(news.rejected, 1))),
+            *(("slow", one) for one in slow),
+            *((f"lost {number}", one) for number, one in enumerate(lost)),
+        ):
+            self._log(kind, words)
+        for words in errors:
+            self._log("error", words, is_error=True)
         problems = [*self._first_problems(), *news.problems, *lost, *slow]
-        if pipeline.is_failed:
-            problems.insert(0, str(pipeline.failures[-1]))
+        numbered = enumerate([*errors, *pipeline.problems, *problems], 1)
         values = {
             **{f"topic.{one.stream}": one.subscription.topic_name for one in session.listened_to},
             **{f"received.{one.stream}": received[one.stream] for one in session.listened_to},
             "waiting": backlog.waiting,
-            "most waiting": backlog.most_waiting,
             "lag": f"{session.lag.newest:.4f}",
-            "most lag": f"{lags.most:.4f}",
+            "most lag": f"{most_lag:.4f}",
             "late": session.lag.late_count,
-            **{f"lost.{k}": n for k, n in sorted((session.lost + backlog.dropped).items())},
+            **{f"lost.{k}": n for k, n in sorted((backlog.lost + backlog.dropped).items())},
             "last refusal": refusal,
             "last contact": session.lacks,
             # Each alone: a problem may hold the mark that stands between them in the message.
-            **{f"problem {n}": one for n, one in enumerate([*pipeline.problems, *problems], 1)},
+            **{f"problem {n}": one for n, one in numbered},
         }
-        return diagnostic_status(name, problems, pipeline, news.pairs, values)
+        return diagnostic_status(name, problems, pipeline, news.pairs, values, errors=errors)
 
-    def _warn(self, kind: str, words: str) -> None:
-        """Log a warning, of one kind no more often than every ten seconds."""
+    def _log(self, kind: str, words: str, *, is_error: bool = False) -> None:
+        """Log a warning or an error, of one kind no more often than every ten seconds."""
         now = time.monotonic()
-        if now - self._warned.get(kind, -math.inf) >= _THROTTLE:
-            self._warned[kind] = now
-            self._node.get_logger().warning(words)
+        if now - self._logged.get(kind, -math.inf) < _THROTTLE:
+            return
+        self._logged[kind] = now
+        logger = self._node.get_logger()
+        if is_error:
+            logger.error(words)
+        else:
+            logger.warning(words)
 
     def _first_problems(self) -> list[str]:
         """Return what is wrong with the inputs; log it once while nothing has come of them."""
-        session, pipeline = self._session, self._session.pipeline
-        first = [problem for one in session.listened_to for problem in self._problems_of(one)]
+        session, pipeline, node = self._session, self._session.pipeline, self._node
+        first = [
+            problem
+            for one in session.listened_to
+            for problem in one.problems(node, has_come=session.inputs.has_come(one.stream))
+        ]
         pairing = pipeline.transform_problem or pairing_problem(pipeline, session.inputs)
         if pairing:
             first.append(pairing)
-        clock = clock_problem(self._node)
-        always = [clock] if clock else []
+        always = clock_problem(node)
         self._say_once([*([] if pipeline.pair_count else first), *always])
         if pipeline.pair_count and self._said and not self._has_paired:
-            self._node.get_logger().info("force and displacement come now")
+            node.get_logger().info("force and displacement come now")
         self._has_paired = pipeline.pair_count > 0
         return [*first, *always]
-
-    def _problems_of(self, one: ListenedTo) -> list[str]:
-        if one.stream in TRANSFORM_TOPICS:
-            # Many publish them, or none: what counts is whether they connect the frames.
-            return one.wrong_publishers(self._node)
-        return one.problems(self._node, has_come=self._session.inputs.has_come(one.stream))
 
     def _say_once(self, problems: Sequence[str]) -> None:
         """Log, once each, the problems that were seen at the last look too.
@@ -178,19 +167,25 @@ class _Report:
                 self._node.get_logger().warning(problem)
         self._seen_before = set(problems)
 
-    def _lost_messages(self, received: Counter[str]) -> list[str]:
+    def _lost(self, received: Counter[str]) -> list[str]:
         """Return what was lost in the last second, and what mends it, a sentence an input."""
-        lost, dropped = self._session.lost, self._session.backlog.dropped
         self._fastest |= received
-        words = [
-            lost_problem(
-                one,
-                received[one.stream],
-                self._fastest[one.stream],
-                lost[one.stream] - self._lost_before[one.stream],
-                dropped[one.stream] - self._dropped_before[one.stream],
-            )
+        lost = self._new("lost", self._session.backlog.lost)
+        dropped = self._new("dropped", self._session.backlog.dropped)
+        return [
+            words
             for one in self._session.listened_to
+            for words in one.lost(
+                *(counts[one.stream] for counts in (received, self._fastest, lost, dropped))
+            )
         ]
-        self._lost_before, self._dropped_before = lost.copy(), dropped.copy()
-        return [one for one in words if one]
+
+    def _new(self, name: str, counts: Counter[str]) -> Counter[str]:
+        """Return what was counted since the last look."""
+        before, self._before[name] = self._before.get(name, Counter()), counts.copy()
+        return counts - before
+
+
+def _rejected(pipeline: Pipeline) -> str:
+    counts = ", ".join(f"{reason} {n}" for reason, n in sorted(pipeline.rejected.items()))
+    return f"samples rejected in the last second, by reason so far: {counts}"

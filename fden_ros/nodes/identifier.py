@@ -12,7 +12,9 @@ Everything that computes is in :mod:`fden_ros.core`; what is there while the nod
 
 from __future__ import annotations
 
+import functools
 import gc
+import os
 import threading
 import traceback
 from collections.abc import Callable, Iterator
@@ -36,8 +38,6 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.nodes.backlog import Taken
 from fden_ros.nodes.diagnostics import Diagnostics
-from fden_ros.nodes.priority import raise_priority
-from fden_ros.nodes.qos_overrides import OVERRIDABLE, check_qos_overrides
 from fden_ros.nodes.running import run_node
 from fden_ros.nodes.session import Session
 from fden_ros.parameters import (
@@ -49,9 +49,10 @@ from fden_ros.parameters import (
     identifier_values,
     pipeline_config,
 )
-from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
+#: Next to busy processes a node of their priority gets half a core: a contact at 1 kHz takes that.
+_NICE = -10
 _ACKNOWLEDGE_TIMEOUT = 1.0
 _INACTIVE = "the node is not active: activate it first"
 
@@ -79,18 +80,7 @@ class Identifier(LifecycleNode):
     # Parameters
 
     def _declare_parameters(self) -> None:
-        self._check_overrides()
-        for parameter in PARAMETERS:
-            constraints = parameter.constraint, "changes only while unconfigured"
-            descriptor = _descriptor(parameter, *constraints)
-            self.declare_parameter(parameter.name, parameter.default, descriptor)
-        for parameter in NODE_PARAMETERS:
-            # rclpy declares those of every node itself.
-            if not self.has_parameter(parameter.name):
-                self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
-
-    def _check_overrides(self) -> None:
-        """Refuse a parameter that is unknown or not allowed; [0, 0, -1] is a list of numbers."""
+        """Declare; refuse an override that is unknown or not allowed, [0, 0, -1] is a list."""
         given = {
             name: _plain(override.value) for name, override in self._parameter_overrides.items()
         }
@@ -99,9 +89,12 @@ class Identifier(LifecycleNode):
         for name in given:
             if name in values:
                 self._parameter_overrides[name] = RosParameter(name, value=values[name])
-        inputs = [self.resolve_topic_name(name) for name in TYPE_NAMES]
-        outputs = [self.resolve_topic_name(f"~/{topic.name}") for topic in OUTPUT_TOPICS]
-        check_qos_overrides(given, inputs, outputs)
+        for parameter in PARAMETERS:
+            constraints = parameter.constraint, "changes only while unconfigured"
+            descriptor = _descriptor(parameter, *constraints)
+            self.declare_parameter(parameter.name, parameter.default, descriptor)
+        for parameter in NODE_PARAMETERS:
+            self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
 
     def _on_set_parameters(self, changes: list[RosParameter]) -> SetParametersResult:
         own = {parameter.name: parameter for parameter in PARAMETERS}
@@ -184,7 +177,6 @@ class Identifier(LifecycleNode):
                 topic.message_type,
                 f"~/{topic.name}",
                 topic.profile(parameters.core.block_duration),
-                qos_overriding_options=OVERRIDABLE,
             )
         self._services_made = [
             self.create_service(Trigger, name, answer)
@@ -286,7 +278,7 @@ def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=f"{parameter.description} [{parameter.unit}]",
         additional_constraints="; ".join(filter(None, more)),
-        read_only=parameter.name in ("autostart", "nice"),
+        read_only=parameter.name == "autostart",
     )
     low, high = parameter.minimum, parameter.maximum
     if isinstance(parameter.default, float):
@@ -300,19 +292,33 @@ def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; report the open contact before leaving."""
+    # The threads of the middleware, which begin later, inherit it.
+    problem = _ask_for_priority() if arguments is None else ""
     return run_node(
         "identifier",
         Identifier,
         arguments,
-        start=_start,
+        start=functools.partial(_start, problem=problem),
         finish=Identifier.finish,
         needs_section=True,
     )
 
 
-def _start(node: Identifier) -> bool:
-    if problem := raise_priority(node.get_parameter("nice").value):
-        node.get_logger().info(problem)
+def _ask_for_priority() -> str:
+    """Go before ordinary processes; return why that cannot be, or nothing."""
+    try:
+        os.nice(_NICE)
+    except PermissionError:
+        return (
+            f"no right to a negative nice ({_NICE}): next to busy processes estimates may come "
+            "late; docs/robots.md says how to get it"
+        )
+    return ""
+
+
+def _start(node: Identifier, problem: str) -> bool:
+    if problem:
+        node.get_logger().warning(problem)
     is_done = node.start()
     # What is there by now stays: the collector need not look through it again and again.
     gc.collect()

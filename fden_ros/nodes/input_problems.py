@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
@@ -17,11 +17,6 @@ from fden_ros.core.streams import Reason
 from fden_ros.ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
 from fden_ros.ros.messages import type_name
 
-#: What a subscription can ask for that not every publisher offers: the weaker and the stronger.
-_POLICIES = (
-    ("reliability", ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
-    ("durability", DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
-)
 #: Other topics that are named where nothing publishes the one that is listened to, at most.
 _MOST_NAMED = 3
 #: What does without header stamps.
@@ -48,9 +43,12 @@ class ListenedTo:
         """
         topic, expected = self.subscription.topic_name, type_name(self.subscription.msg_type)
         publishers = node.get_publishers_info_by_topic(topic)
+        problems = self._wrong_publishers(publishers, expected)
+        if self.stream in TRANSFORM_TOPICS:
+            # Many publish them, or none: what counts is whether they connect the frames.
+            return problems
         if not publishers:
             return [self._nothing_publishes(node, expected)]
-        problems = self.wrong_publishers(node)
         if len(publishers) > 1:
             problems.append(f"{topic} has {len(publishers)} publishers: their samples are mixed")
         if not problems and not has_come:
@@ -58,25 +56,45 @@ class ListenedTo:
             problems.append(f"{topic} is published by {names}, but no message has come from it")
         return problems
 
-    def wrong_publishers(self, node: Node) -> list[str]:
-        """Return which publishers have another type or an incompatible QoS, a sentence each."""
-        topic, expected = self.subscription.topic_name, type_name(self.subscription.msg_type)
-        publishers = node.get_publishers_info_by_topic(topic)
-        problems = [
-            self._other_type(kind, expected)
-            for kind in sorted({p.topic_type for p in publishers} - {expected})
-        ]
-        fitting = [p for p in publishers if p.topic_type == expected]
-        problems += dict.fromkeys(
-            problem for p in fitting for problem in self._incompatible(p.qos_profile)
-        )
+    def lost(self, received: int, fastest: int, lost: int, dropped: int) -> list[str]:
+        """Return that messages were lost in the last second, and what mends it.
+
+        Parameters
+        ----------
+        received, fastest : int
+            Messages that were read in the last second, and in the fastest second so far.
+        lost, dropped : int
+            Lost in the middleware, and dropped by the node, which computes too slowly.
+        """
+        topic, count = self.subscription.topic_name, lost + dropped
+        if not count:
+            return []
+        words = f"{count} of {received + count} messages a second on {topic} lost"
+        slower = f"publish it at no more than {max(fastest, 1)} Hz"
+        if dropped:
+            slower = f"the node cannot keep pace; {slower}, or give it a core of its own"
+        elif self.subscription.qos_profile.reliability != ReliabilityPolicy.RELIABLE:
+            override = f"qos_overrides.{topic}.subscription.reliability"
+            slower += f", or set {override} to reliable where its publisher offers that"
+        return [f"{words}: {slower}"]
+
+    def _wrong_publishers(self, publishers: list[Any], expected: str) -> list[str]:
+        topic, asked = self.subscription.topic_name, self.subscription.qos_profile
+        kinds = sorted({p.topic_type for p in publishers} - {expected})
+        problems = [self._other_type(kind, expected) for kind in kinds]
+        offered = {p.qos_profile.reliability for p in publishers if p.topic_type == expected}
+        is_reliable = asked.reliability == ReliabilityPolicy.RELIABLE
+        if is_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
+            problems.append(
+                f"a publisher on {topic} offers best_effort where reliable is requested: nothing "
+                f"comes from it; set qos_overrides.{topic}.subscription.reliability to best_effort"
+            )
         return problems
 
     def _nothing_publishes(self, node: Node, expected: str) -> str:
-        topic = self.subscription.topic_name
         others = _published(node, self.stream)
         same = [name for name, kind in others.items() if kind == expected]
-        found = f"nothing publishes {topic}, where {expected} is expected"
+        found = f"nothing publishes {self.subscription.topic_name}, where {expected} is expected"
         if same:
             return f"{found}: {_list(same)} has that type; remap it, {self._remap(same[0])}"
         if others:
@@ -89,16 +107,6 @@ class ListenedTo:
         found = f"{self.subscription.topic_name} is published as {kind}, expected {expected}"
         mend = f"{self._set(kind)}, or " if kind in TYPE_NAMES[self.stream].values() else ""
         return f"{found}: {mend}remap it, {self._remap('TOPIC')}"
-
-    def _incompatible(self, offered: Any) -> list[str]:
-        topic, asked = self.subscription.topic_name, self.subscription.qos_profile
-        return [
-            f"a publisher on {topic} offers an incompatible {policy}, "
-            f"{weak.name.lower()} where {strong.name.lower()} is asked for: nothing comes from "
-            f"it; set qos_overrides.{topic}.subscription.{policy} to {weak.name.lower()}"
-            for policy, weak, strong in _POLICIES
-            if getattr(offered, policy) == weak and getattr(asked, policy) == strong
-        ]
 
     def _remap(self, topic: str) -> str:
         if self.stream in TRANSFORM_TOPICS:
@@ -135,47 +143,25 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
     )
 
 
-def lost_problem(one: ListenedTo, received: int, fastest: int, lost: int, dropped: int) -> str:
-    """Return how many messages of an input were lost in the last second, and what mends it.
-
-    Parameters
-    ----------
-    one : ListenedTo
-    received, fastest : int
-        Messages that were read in the last second, and in the fastest second so far.
-    lost, dropped : int
-        Lost in the middleware, and dropped by the node, which computes too slowly.
-
-    Returns
-    -------
-    str
-        Empty if none was lost.
-    """
-    topic, qos = one.subscription.topic_name, one.subscription.qos_profile
-    if not lost and not dropped:
-        return ""
-    words = f"{lost + dropped} of {received + lost + dropped} messages a second on {topic} lost"
-    slower = f"publish it at no more than {max(fastest, 1)} Hz"
-    if dropped:
-        return f"{words}: the node cannot keep pace; {slower}, or give it a core of its own"
-    override = f"qos_overrides.{topic}.subscription"
-    reliable = ""
-    if qos.reliability != ReliabilityPolicy.RELIABLE:
-        reliable = f", and {override}.reliability to reliable where its publisher offers that"
-    return (
-        f"{words} before the node could read them: set {override}.depth to {10 * qos.depth} "
-        f"(it is {qos.depth}){reliable}, or {slower}"
-    )
-
-
-def clock_problem(node: Node) -> str | None:
-    """Return that the time is asked of a topic that nothing publishes, if so."""
+def clock_problem(node: Node) -> list[str]:
+    """Return that the time is that of a topic that nothing publishes, if so."""
     if not node.get_parameter("use_sim_time").value or node.get_clock().now().nanoseconds:
-        return None
-    return (
+        return []
+    return [
         "use_sim_time is set but nothing publishes /clock: play the bag with ros2 bag play "
         "--clock, or set use_sim_time to false"
-    )
+    ]
+
+
+def second_publisher(node: Node, topic: str) -> list[str]:
+    """Return that another node publishes the node's own topic, if so."""
+    count = node.count_publishers(topic)
+    if count < 2:
+        return []
+    return [
+        f"{topic} has {count} publishers, whose estimates are mixed: end the other identifier of "
+        "this name, or name it with -r __node:=NAME"
+    ]
 
 
 def _published(node: Node, stream: str) -> dict[str, str]:

@@ -27,33 +27,19 @@ class Lag:
         self.late_count += is_late
         self._lags.append(lag)
 
-    def look(self) -> Lags:
-        """Return those since the last look."""
-        found = Lags(tuple(self._lags), self.late_count - self._late_before)
-        self._lags.clear()
-        self._late_before = self.late_count
-        return found
-
-
-@dataclass(frozen=True)
-class Lags:
-    """The ages of estimates over some time."""
-
-    lags: tuple[float, ...] = ()  #: [s]
-    late: int = 0  #: of them
-
-    @property
-    def most(self) -> float:
-        """The largest [s]."""
-        return max(self.lags, default=0.0)
-
-    @property
-    def problem(self) -> str:
-        """That estimates are late, and what mends it; empty: none is."""
-        if not self.late:
-            return ""
-        return (
-            f"the machine is too slow: {self.late} of {len(self.lags)} estimates were late, up to "
-            f"{self.most:.2f} s behind their samples; give the node a core or priority (nice), or "
-            "set estimate.period to twice what it is"
+    def look(self) -> tuple[float, list[str]]:
+        """Return the largest age since the last look, and what is wrong."""
+        late, count, most = (
+            self.late_count - self._late_before,
+            len(self._lags),
+            max(self._lags, default=0.0),
         )
+        self._late_before = self.late_count
+        self._lags.clear()
+        if not late:
+            return most, []
+        return most, [
+            f"the machine is too slow: {late} of {count} estimates were late, up to {most:.2f} s "
+            "behind their samples; give the node a core or priority, or set estimate.period to "
+            "twice what it is"
+        ]

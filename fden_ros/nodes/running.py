@@ -36,6 +36,7 @@ _Node = TypeVar("_Node", bound=Node)
 _SPIN_TIMEOUT = 0.1
 #: A thread that computes hands over to messages after this time [s]: Python's is 5 ms.
 _SWITCH_INTERVAL = 0.0005
+_ROS_OPTIONS = ("--params-file", "-p", "--param", "-r", "--remap")
 _LOG_LEVELS = ("debug", "info", "warn", "error", "fatal", "unset")
 
 
@@ -166,7 +167,11 @@ def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
         In one line, where rcl would write several, or name no reason.
     """
     files: list[list[Section]] = []
-    for option, value in _ros_options(arguments):
+    ros_options = list(_ros_options(arguments))
+    for option in _ROS_OPTIONS:
+        if arguments.count(option) > [one for one, _ in ros_options].count(option):
+            raise InputError(f"{option} counts after --ros-args alone: put --ros-args before it")
+    for option, value in ros_options:
         if option == "--params-file":
             files.append(read_sections(value))
         elif option in ("-p", "--param"):

@@ -11,28 +11,26 @@ from __future__ import annotations
 import copy
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Input, Taken, loss_counter, taker
+from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Taken
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.lag import Lag
-from fden_ros.nodes.qos_overrides import OVERRIDABLE
 from fden_ros.offline.advice import shortfall
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
-from fden_ros.recording.message_types import decoder, message_class
-from fden_ros.recording.stamps import restamped_data
-from fden_ros.ros.decoding import handler_of
+from fden_ros.recording.message_types import message_class
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, Inputs
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
@@ -67,10 +65,9 @@ class Session:
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.pipeline = Pipeline(pipeline_config(parameters), self._publish)
         self.inputs = Inputs(parameters, self.pipeline)
-        self.backlog = Backlog()
+        self.backlog = Backlog(self.inputs, is_restamped=parameters.stamp_source == "receive")
         self.listened_to: list[ListenedTo] = []
         self.lag = Lag()
-        self._loss_counters: dict[str, Callable[[], int]] = {}
         self._messages = OutputMessages()
         self._last_state: TissueState | None = None
         self._last_input = self._steady.now()
@@ -101,11 +98,6 @@ class Session:
         if words := assumed(self.pipeline.config.geometry):
             self._node.get_logger().info(words)
 
-    @property
-    def lost(self) -> Counter[str]:
-        """Messages lost so far in the middleware, by the name of the input."""
-        return Counter({name: count() for name, count in self._loss_counters.items()})
-
     def finish(self) -> None:
         """Report the open contact; listen no more."""
         self.pipeline.finish()
@@ -116,7 +108,6 @@ class Session:
         """Listen no more."""
         self._is_open = False
         self.backlog.clear()
-        self._loss_counters.clear()
         for one in self.listened_to:
             self._node.destroy_subscription(one.subscription)
         self.listened_to.clear()
@@ -141,21 +132,11 @@ class Session:
             callback_group=Taken(),
             # The diagnostics say what is wrong, with the override that mends it.
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-            qos_overriding_options=OVERRIDABLE,
-            # Decoding the few bytes that count is faster than making a message of them all.
+            qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.RELIABILITY]),
             raw=True,
         )
         self.listened_to.append(ListenedTo(topic, subscription))
-        self._loss_counters[topic] = loss_counter(subscription)
-        self.backlog.inputs.append(Input(topic, taker(subscription), self._reader(topic, kind)))
-
-    def _reader(self, topic: str, kind: str) -> Callable[[bytes], None]:
-        """Return what reads the bytes of a message, with the stamp that is asked for."""
-        read = handler_of(topic, kind, decoder(kind), self.inputs)
-        if self._parameters.stamp_source == "header":
-            return read
-        backlog = self.backlog
-        return lambda data: read(restamped_data(data, kind, backlog.received_ns))
+        self.backlog.listen(topic, kind, subscription)
 
     def _take(self) -> None:
         with self._lock:

@@ -24,10 +24,6 @@ class MessageKind:
     field: str  #: a vector or a number; of joints one each
     torque: str = ""  #: a vector; empty: it has none of its own
     orientation: str = ""  #: empty: it has none
-    #: Numbers of 8 bytes that follow the header (and a child's name), those of a vector `field`
-    #: first: such a message is read without being decoded; 0: it is decoded.
-    size: int = 0
-    has_child: bool = False  #: the name of a child frame follows the header
     is_of_joints: bool = False
 
     def is_kind_of(self, message: Any) -> bool:
@@ -52,7 +48,7 @@ _JOINTS = "sensor_msgs/msg/JointState"
 #: By the values of `force.message`.
 FORCES: Mapping[str, MessageKind] = {
     "wrench": MessageKind(
-        "geometry_msgs/msg/WrenchStamped", "wrench.force", torque="wrench.torque", size=6
+        "geometry_msgs/msg/WrenchStamped", "wrench.force", torque="wrench.torque"
     ),
     "joint_state": MessageKind(_JOINTS, "effort", is_of_joints=True),
 }
@@ -60,19 +56,14 @@ FORCES: Mapping[str, MessageKind] = {
 PLACES: Mapping[str, MessageKind] = {
     "joint_state": MessageKind(_JOINTS, "position", is_of_joints=True),
     "pose": MessageKind(
-        "geometry_msgs/msg/PoseStamped",
-        "pose.position",
-        orientation="pose.orientation",
-        size=7,
+        "geometry_msgs/msg/PoseStamped", "pose.position", orientation="pose.orientation"
     ),
     "transform": MessageKind(
         "geometry_msgs/msg/TransformStamped",
         "transform.translation",
         orientation="transform.rotation",
-        size=7,
-        has_child=True,
     ),
-    "point": MessageKind("geometry_msgs/msg/PointStamped", "point", size=3),
+    "point": MessageKind("geometry_msgs/msg/PointStamped", "point"),
 }
 
 

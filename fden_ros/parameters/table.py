@@ -137,14 +137,6 @@ class NodeSettings:
         0.01,
         60.0,
     )
-    nice: int = parameter(
-        "nice",
-        -10,
-        "Nice value that the process asks for: below 0 it goes before ordinary processes.",
-        "1",
-        -20,
-        0,
-    )
 
 
 @dataclass(frozen=True)

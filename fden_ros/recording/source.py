@@ -314,10 +314,10 @@ class _FieldHandler:
         stamp = self._stamp(sample, message.log_time_ns)
         frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
         if self._stream == "force":
-            self._inputs.add_force_value(frame, stamp, value)
+            self._inputs.add_force(frame, stamp, value)
         else:
             turn = self._path.orientation_beside(sample)
-            self._inputs.places[self._stream].add_value(frame, stamp, value, turn)
+            self._inputs.add_displacement(frame, stamp, value, turn)
 
     def _value(self, sample: Any) -> NumberOrVector | None:
         try:
@@ -402,9 +402,9 @@ class TableSource:
         for done, row in enumerate(self._table.rows(), start=1):
             before(row.stamp_ns, None)
             if row.displacement is not None:
-                inputs.places["displacement"].add_value("", row.stamp_ns, row.displacement)
+                inputs.add_displacement("", row.stamp_ns, row.displacement)
             if row.force is not None:
-                inputs.add_force_value("", row.stamp_ns, row.force)
+                inputs.add_force("", row.stamp_ns, row.force)
             yield done
 
 

@@ -5,11 +5,8 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 #: Messages at the beginning of a topic whose stamps are looked at.
 LOOKED_AT = 200
@@ -27,40 +24,6 @@ _REMEDY = (
 )
 
 _NS = 1_000_000_000
-#: Types that begin with a header, whose stamp follows the encapsulation's 4 bytes.
-_STAMPED = {name for kinds in TYPE_NAMES.values() for name in kinds.values()} - {TRANSFORMS}
-_BODY = 4
-_DOUBLE = 8
-
-
-def restamped_data(data: bytes, type_name: str, time_ns: int) -> bytes:
-    """Return the bytes of an input message with another header stamp; of others as they are."""
-    if type_name == TRANSFORMS:
-        try:
-            return _restamped_transforms(data, time_ns)
-        except (struct.error, IndexError):  # damaged bytes are counted where they are read
-            return data
-    if type_name not in _STAMPED or len(data) < _BODY + 8:
-        return data
-    stamp = struct.pack(_format(data), *divmod(time_ns, _NS))
-    return data[:_BODY] + stamp + data[_BODY + 8 :]
-
-
-def _restamped_transforms(data: bytes, time_ns: int) -> bytes:
-    """Return the bytes of a message of ``/tf`` whose transforms all have another stamp."""
-    stamp, changed = struct.pack(_format(data), *divmod(time_ns, _NS)), bytearray(data)
-    length = struct.Struct(_format(data)[0] + "I")
-    (count,), at = length.unpack_from(data, _BODY), _BODY + length.size
-    for _ in range(count):
-        changed[at : at + len(stamp)] = stamp
-        at += len(stamp)
-        for _ in range(2):  # frame and child
-            at += (_BODY - at) % length.size
-            at += length.size + length.unpack_from(data, at)[0]
-        at += (_BODY - at) % _DOUBLE + 7 * _DOUBLE
-        if at > len(data):
-            raise IndexError
-    return bytes(changed)
 
 
 def carried_stamp(sample: Any) -> Any:

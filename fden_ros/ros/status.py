@@ -26,11 +26,15 @@ def diagnostic_status(
     pipeline: Pipeline,
     pairs: int,
     more: Mapping[str, object] | None = None,
+    *,
+    errors: Sequence[str] = (),
 ) -> DiagnosticStatus:
     """Return the status of a node called `node_name`, with `pairs` in the last second."""
-    problems = [*pipeline.problems, *problems]
-    level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
     if pipeline.is_failed:
+        errors = [*errors, str(pipeline.failures[-1])]
+    problems = [*errors, *pipeline.problems, *problems]
+    level = DiagnosticStatus.WARN if problems else DiagnosticStatus.OK
+    if errors:
         level = DiagnosticStatus.ERROR
     status = status_of(node_name, level, "; ".join(problems) or "identifying")
     for key, value in {**_values(pipeline, pairs), **(more or {})}.items():

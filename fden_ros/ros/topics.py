@@ -42,7 +42,7 @@ from fden_ros.ros.stiffness_map import StiffnessMap
 #: Of the inputs. Deep: one lost sample is lost to the fractional integral for good.
 INPUT_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
-    depth=2000,
+    depth=10000,
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
