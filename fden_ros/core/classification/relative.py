@@ -19,7 +19,6 @@ from scipy.special import stdtr, stdtrit
 from fden_ros.core.classification.classifier import ClassProbabilities, Likelihood
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import LogStiffness, log_stiffness
-from fden_ros.core.parameter import parameter
 
 ANSWERS = ("softer", "alike", "stiffer")
 #: Fewer places are no surroundings; strain of the comparison [1].
@@ -34,9 +33,8 @@ _LEAST_SD, _ITERATIONS = 0.02, 30
 class RelativeConfig:
     """Limit of the comparison."""
 
-    ratio: float = parameter(
-        "classification.ratio", 1.5, "relative: stiffer, or softer, by this.", "1", 1.0, 1000.0
-    )
+    #: relative: stiffer, or softer, by this [1].
+    ratio: float = 1.5
 
 
 @dataclass(frozen=True)
