@@ -70,17 +70,13 @@ setup(
         "Jinja2>=3.1",
         "PyYAML>=6.0",
         "filterpy>=1.4.5",
-        "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.1",
-        "mcap-ros2-support>=0.5",
         "numpy>=1.26",
-        "python-dateutil>=2.8.2",
         "rich>=13.7",
         "rosbags>=0.11",
         "scipy>=1.11",
         "setuptools",
-        "zstandard>=0.22",
     ],
     extras_require={
         # ROS 2 itself, where no distribution of it is installed. Never a plain requirement: on a

@@ -40,27 +40,21 @@ ROSDEP_KEYS = {
     "filterpy": "python3-filterpy-pip",
     "hypothesis": "python3-hypothesis",
     "jinja2": "python3-jinja2",
-    "lz4": "mcap-ros2-support",
     "matplotlib": "python3-matplotlib",
     "mcap": "mcap-ros2-support",
-    "mcap-ros2-support": "mcap-ros2-support",
     "mpmath": "python3-sympy",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
     "pytest-xdist": "python3-pytest-xdist",
-    "python-dateutil": "python3-dateutil",
     "pyyaml": "python3-yaml",
     "rich": "python3-rich",
     "ros-jazzy-domain-coordinator": "domain_coordinator",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
-    "zstandard": "mcap-ros2-support",
 }
 #: Beside the extra [cluster], for its tests. rosdep has no keys for most of both: pip brings them.
 TEST_SERVERS = {"flask-cors", "moto"}
 IMPORT_NAMES = {
-    "mcap-ros2-support": "mcap_ros2",
-    "python-dateutil": "dateutil",
     "pyyaml": "yaml",
     "universal-pathlib": "upath",
 }
