@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.recording.headings import Heading, candidates
-from fden_ros.recording.text import Layout, is_number, layout_of, looks_like_a_table, rows_of
+from fden_ros.recording.text import Layout, is_number, layout_of, looks_like_a_table
 
 #: The columns that experiments read, and their units.
 UNITS = {
@@ -231,7 +231,7 @@ def read_table(path: str | Path) -> Table:
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
         raise InputError(f"{path}: there are two columns {doubled}; keep one")
-    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in rows_of(layout)]
+    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in layout.rows()]
     if not rows:
         raise InputError(f"{path} has names but no rows of numbers")
     lines, cells = zip(*rows, strict=True)

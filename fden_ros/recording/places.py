@@ -139,18 +139,6 @@ def opened(path: Path, **options: Any) -> Any:
     return remote.open("rb", block_size=_PIECE, **options) if is_remote(path) else path.open("rb")
 
 
-def piece(path: Path, offset: int, length: int) -> bytes:
-    """Return `length` bytes of a file; of one that is here, as many as there are."""
-    # A damaged length may be more than memory holds.
-    most = length if is_remote(path) else min(length, path.stat().st_size)
-    with opened(path, cache_type="none") as file:
-        file.seek(offset)
-        data: bytes = file.read(most)
-    if is_remote(path) and len(data) != length:
-        raise OSError(f"{len(data)} of {length} bytes came")
-    return data
-
-
 def copied(path: Path, folder: str | Path) -> Path:
     """Return the path of a copy of a URL in a folder."""
     copy = Path(folder) / (path.name.partition("?")[0] or "recording")

@@ -110,6 +110,11 @@ class Layout:
         """Return the cells of a line."""
         return _split(line, self.delimiter)
 
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the number of the line and the cells of each row."""
+        for number, line in self.lines:
+            yield number, self.split(line)
+
     def number(self, cell: str) -> float:
         """Return the number in a cell, NaN where it says that it has none.
 
@@ -538,9 +543,3 @@ def _opened(path: Path) -> Any:
 
 def _unreadable(path: Path, reason: str) -> InputError:
     return InputError(f"{path} cannot be read: {reason}")
-
-
-def rows_of(layout: Layout) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of the line and the cells of each row."""
-    for number, line in layout.lines:
-        yield number, layout.split(line)
