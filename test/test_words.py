@@ -26,21 +26,32 @@ from fden_ros.core.estimation import (
     Uncertainty,
 )
 from fden_ros.core.estimation.budget import SOURCES
-from fden_ros.core.law import FlatPunch
+from fden_ros.core.law import ApparentStiffness, FlatPunch
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     Decided,
     Decision,
     Flag,
+    Phase,
+    Status,
+    TissueState,
 )
-from fden_ros.core.stiffness import apparent_stiffness_of
+from fden_ros.core.stiffness import MeasuredSlope, Slopes, apparent_stiffness_of
 from fden_ros.offline.advice import BY_FLAG, BY_SOURCE, findings, shortfall
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.parameters import check, pipeline_config
+from fden_ros.recording.message_types import decoder, serialize
 from fden_ros.report.numbers import result
-from fden_ros.report.table import contact_table
-from fden_ros.ros.messages import classification_message, summary_message, summary_of
+from fden_ros.report.table import contact_table, status_words
+from fden_ros.ros.messages import (
+    classification_message,
+    estimate_message,
+    state_of,
+    summary_message,
+    summary_of,
+    type_name,
+)
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
@@ -98,7 +109,7 @@ def test_decision_goes_into_the_message_with_its_flags():
     assert message.flags == Flag.MODEL_MISMATCH
     assert (message.label, message.p_value) == ("liver", 0.4)
     assert (message.decision_time, message.decision_strain) == (0.8, 0.21)
-    assert (message.ratio, message.ratio_low, message.ratio_high) == (0.0, 0.0, 0.0)
+    assert np.isnan([message.ratio, message.ratio_low, message.ratio_high]).all()
 
 
 def test_summary_comes_back_from_its_message():
@@ -106,6 +117,37 @@ def test_summary_comes_back_from_its_message():
     back = summary_of(summary_message(sent, "probe"))
     assert back.classes == CLASSES
     assert back.decided == sent.decided
+
+
+def test_what_is_not_known_is_nan_in_the_decoded_messages():
+    """As PlotJuggler and Foxglove decode them: by the definition, and NaN is a gap."""
+    state = TissueState(1, Status.NO_CONTACT, Flag.NONE, 0, 0, Phase.APPROACH)
+    bare = replace(SUMMARY, estimate=None, classes=None, position=None, apparent_stiffness=None)
+    known = {"lag", "max_strain", "max_stress", "max_force"}
+    for message in (estimate_message(state, "probe"), summary_message(bare, "probe")):
+        decoded = decoder(type_name(type(message)))(serialize(message))
+        kinds = message.get_fields_and_field_types()
+        numbers = {n for n, kind in kinds.items() if kind.startswith("double")}
+        numbers -= {n for n in numbers if kinds[n].startswith("sequence")} | known
+        assert len(numbers) > 20
+        assert {n for n in numbers if not np.isnan(getattr(decoded, n)).all()} == set()
+    assert np.isnan(decoded.position.x)
+
+
+def test_what_comes_back_of_a_message_without_numbers_is_not_known():
+    state = TissueState(1, Status.NO_CONTACT, Flag.NONE, 0, 0, Phase.APPROACH)
+    back = state_of(estimate_message(state, "probe"))
+    assert back == state
+
+
+@pytest.mark.parametrize("flags", [Flag.IMPLAUSIBLE | Flag.TOUCH_NOT_OBSERVED, Flag(4095)])
+def test_the_table_wraps_no_word_at_80_columns(flags):
+    slopes = Slopes(MeasuredSlope(1620.3, 115.2, 0.00372, 0), None)
+    stiff = ApparentStiffness(1047.8, 105.1, 0.1)
+    one = replace(SUMMARY, flags=flags, classes=None, measured=slopes, apparent_stiffness=stiff)
+    text = printed(one, replace(one, contact_id=112, flags=Flag.NONE))
+    assert set(status_words(one).split()) <= set(text.split())
+    assert "1,050 ± 110" in text and "1,600 at 3.7" in text
 
 
 def test_row_of_a_table_has_the_correlations():

@@ -289,7 +289,7 @@ class ContinuousSession:
             site_id=self.site_count,
             contact_id=self.site_count,
             modulus=modulus._replace(
-                mean_strain=0.0,
+                mean_strain=math.nan,
                 strain_amplitude=modulus.strain_amplitude / self._config.geometry.length,
                 storage=scale * stiffness.value.real,
                 loss=scale * stiffness.value.imag,

@@ -43,12 +43,14 @@ def table_of(
     table = Table(
         title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0), show_edge=between > 0
     )
-    for heading, width in columns.items():
+    cells = list(rows)
+    for number, (heading, width) in enumerate(columns.items()):
         if width:
-            table.add_column(Text(heading), min_width=width, overflow="fold")
+            words = [len(word) for row in cells for word in row[number].split()]
+            table.add_column(Text(heading), min_width=max([width, *words]), overflow="fold")
         else:
             table.add_column(Text(heading), justify="right", no_wrap=True)
-    for row in rows:
+    for row in cells:
         table.add_row(*row)
     return table
 
@@ -64,8 +66,12 @@ def contact_table(
     on_path = is_path(shown)
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
     numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope at mm")
+    columns = {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 5}
+    if all(row[-1] == DASH for row in rows):
+        del columns["tissue"]
+        rows = [row[:-1] for row in rows]
     table = table_of(
-        {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 8},
+        columns,
         rows,
         "Places" if on_path else "Contacts",
         between=0,
@@ -138,5 +144,5 @@ def _cells(summary: ContactSummary, *, on_path: bool, alone: bool) -> list[str]:
         stiffness(summary.apparent_stiffness, _STIFFNESS_DIGITS) if is_plausible else DASH,
         slope(summary.measured.loading),
         status_words(summary, on_path=on_path, alone=alone),
-        DASH if on_path else label_words(summary),
+        DASH if on_path or summary.classes is None else label_words(summary),
     ]

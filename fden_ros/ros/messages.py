@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification, TissueEstimate
+from geometry_msgs.msg import Point
 
 from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.estimation import (
@@ -40,6 +41,8 @@ from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.ros.inputs import stamp_ns
 
+_Message = TypeVar("_Message")
+
 #: Fields of the messages: of loading, of unloading.
 _MEASURED = ("measured_slope", "measured_slope_unloading")
 
@@ -56,9 +59,22 @@ def type_name(kind: Callable[..., Any]) -> str:
     return f"{package}/msg/{kind.__name__}"
 
 
+def _unknown(kind: type[_Message]) -> _Message:
+    """Return a message whose numbers are not known, NaN, until they are set."""
+    message = kind()
+    for name, own in message.get_fields_and_field_types().items():  # type: ignore[attr-defined]
+        if own == "double":
+            setattr(message, name, math.nan)
+        elif own.startswith("double["):
+            setattr(message, name, np.full(len(getattr(message, name)), math.nan))
+        elif own == "geometry_msgs/Point":
+            setattr(message, name, Point(x=math.nan, y=math.nan, z=math.nan))
+    return message
+
+
 def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
     """Return a :class:`TissueState` as a message."""
-    message = TissueEstimate()
+    message = _unknown(TissueEstimate)
     _fill_head(message, state, frame_id)
     message.flags = int(state.flags)
     message.status = int(state.status)
@@ -93,7 +109,7 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
 
 def classification_message(output: Classification, frame_id: str) -> TissueClassification:
     """Return a :class:`Classification` as a message."""
-    message = TissueClassification()
+    message = _unknown(TissueClassification)
     _fill_head(message, output, frame_id)
     message.flags = int(output.flags)
     message.decision = int(output.decision)
@@ -104,7 +120,7 @@ def classification_message(output: Classification, frame_id: str) -> TissueClass
 
 def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
     """Return a :class:`DynamicModulus` as a message."""
-    message, modulus = ComplexModulus(), output.modulus
+    message, modulus = _unknown(ComplexModulus), output.modulus
     _fill_head(message, output, frame_id)
     message.start = to_stamp(output.start_ns)
     _fill(message, modulus, "angular_frequency", "mean_strain", "strain_amplitude")
@@ -120,7 +136,7 @@ def modulus_message(output: DynamicModulus, frame_id: str) -> ComplexModulus:
 
 def summary_message(summary: ContactSummary, frame_id: str) -> PalpationSummary:
     """Return a :class:`ContactSummary` as a message."""
-    message = PalpationSummary()
+    message = _unknown(PalpationSummary)
     _fill_head(message, summary, frame_id)
     message.flags = int(summary.flags)
     message.start, message.end = to_stamp(summary.start_ns), to_stamp(summary.end_ns)
@@ -160,6 +176,7 @@ def _fill_parameters(
 ) -> None:
     for name, value in estimate.numbers.items():
         setattr(message, name, value)
+    message.mean_dwell_time = estimate.mean_dwell_time or math.nan
     message.covariance = estimate.covariance.ravel()
     message.alpha_source = int(source)
     message.observable_parameters = int(estimate.observable)
@@ -281,7 +298,7 @@ def _components_of(message: PalpationSummary) -> tuple[Component, ...]:
 def _apparent_stiffness_of(
     message: TissueEstimate | PalpationSummary,
 ) -> ApparentStiffness | None:
-    if message.apparent_stiffness_time_scale == 0.0:
+    if math.isnan(message.apparent_stiffness):
         return None
     return ApparentStiffness(
         message.apparent_stiffness,
@@ -296,20 +313,20 @@ def _measured_of(message: TissueEstimate | PalpationSummary) -> Slopes:
 
 def _slope_of(message: TissueEstimate | PalpationSummary, name: str) -> MeasuredSlope | None:
     value = getattr(message, name)
-    if not value:  # one that is known is above 0
+    if math.isnan(value):
         return None
     sd, depth, time = (getattr(message, f"{name}_{part}") for part in ("sd", "depth", "time"))
     return MeasuredSlope(value, sd, depth, stamp_ns(time))
 
 
 def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) -> Estimate:
-    return Estimate(
+    found = Estimate(
         log_linear_stiffness=math.log(message.linear_stiffness),
         log_nonlinear_stiffness=math.log(message.nonlinear_stiffness),
         covariance=np.array(message.covariance).reshape(3, 3),
         **{name: getattr(message, name) for name in PUBLISHED if name in Estimate._fields},
         law_error=LawError(*(getattr(message, name) for name in LawError.names()))
-        if message.relaxation_error_sd
+        if not math.isnan(message.relaxation_error_sd)
         else None,
         probability_beyond_boundary=math.nan,
         observable=ParameterSet(message.observable_parameters),
@@ -318,3 +335,4 @@ def _estimate_of(message: TissueEstimate | PalpationSummary, sample_count: int) 
         sample_count=sample_count,
         is_order_contradicted=bool(message.flags & Flag.ALPHA_PRIOR_CONFLICT),
     )
+    return found if found.mean_dwell_time >= 0.0 else found._replace(mean_dwell_time=0.0)
