@@ -5,14 +5,9 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import re
 import shutil
-import subprocess
-import tracemalloc
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,11 +18,9 @@ from geometry_msgs.msg import PointStamped, WrenchStamped
 from rosbags.highlevel import AnyReader
 
 from fden_ros.cli import COMMANDS, main
-from fden_ros.commands.command import number
 from fden_ros.errors import InputError
 from fden_ros.offline import batch
 from fden_ros.offline.session import (
-    Innovations,
     Session,
     gather,
 )
@@ -56,72 +49,22 @@ def test_every_command_explains_itself(name, capsys):
     assert command.EPILOG.startswith("examples:\n") and f"fden {name}" in command.EPILOG
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_an_unknown_option_is_one_line_that_names_the_help(name, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main([name, "--nonsense"])
-    (line,) = capsys.readouterr().err.splitlines()
-    assert ended.value.code == 2
-    assert "error: " in line and line.endswith(" --help")
-
-
-@pytest.mark.parametrize("words", [["replay", "a.mcap"], ["benchmark", "exact"], ["monitor"]])
-def test_an_unknown_option_names_the_help_of_its_own_command(words, capsys):
-    with pytest.raises(SystemExit):
-        main([*words, "--nonsense"])
-    command = " ".join(word for word in words if "." not in word)
-    unknown = "unrecognized arguments: --nonsense"
-    assert (
-        capsys.readouterr().err == f"fden {command}: error: {unknown}; see fden {command} --help\n"
-    )
-
-
-@pytest.mark.parametrize(
-    ("bounds", "good", "bad", "words"),
-    [
-        ({}, "-1e3", "inf", "expected a number, got 'inf'"),
-        ({"above": 0.0}, "1e-9", "0", "a number above 0, got '0'"),
-        ({"least": 0.0, "below": 1.0}, "0", "1", "a number of at least 0 and below 1"),
-        ({"least": 1, "whole": True}, "1", "1.5", "a whole number of at least 1, got '1.5'"),
-        ({"above": 0.0}, "2", "fast", "got 'fast'"),
-    ],
-)
-def test_a_number_is_refused_outside_its_bounds(bounds, good, bad, words):
-    convert = number(**bounds)
-    assert convert(good) == float(good)
-    with pytest.raises(argparse.ArgumentTypeError, match=words):
-        convert(bad)
-
-
 #: A command, its exit code, and words of the one line that says why.
 REFUSALS = [
     ("benchmark robots --cases frictio -o {tmp}", 1, "there is no case 'frictio'"),
-    ("benchmark laws --cases , -o {tmp}", 1, "no case is named"),
-    ("benchmark exact --first -1 -o {tmp}", 1, "not negative"),
-    ("benchmark robots --parameters nowhere.yaml -o {tmp}", 1, "cannot read the parameter file"),
-    ("benchmark robots --ratio -1 -o {tmp}", 1, "must be positive"),
-    ("benchmark real nowhere -o {tmp}", 1, "no such folder"),
+    ("benchmark exact --nonsense", 2, "see fden benchmark exact --help"),
+    ("monitor --nonsense", 2, "unrecognized arguments: --nonsense; see fden monitor --help"),
+    ("monitor --duration 0", 2, "expected a number above 0, got '0'"),
     ("train nowhere -o {tmp}/l.yaml", 1, "which tissue is it? Write TISSUE=nowhere"),
-    ("train liver=nowhere -o {tmp}/l.yaml", 1, "no such file or folder"),
-    ("train unknown/one=nowhere -o {tmp}/l.yaml", 1, "cannot be called `unknown`"),
     ("replay {tmp}/nowhere", 1, "does not exist"),
     ("replay {tmp}/press.csv", 1, "has time, force, depth"),
-    ("replay", 2, "error: "),
-    ("replay bag --force-field a..b", 2, "error: "),
-    ("replay bag --force", 2, "error: "),
+    ("replay bag --force", 2, "give -o OUT too"),
     ("replay {pose} -o {pose} --force", 1, "the recording itself"),
     ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "no push"),
-    ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "force, torque"),
-    ("replay {pose} --force-topic /tool/wrench --force-field header.frame_id", 1, "neither a num"),
     ("replay {pose} --from-touch", 1, "is no table: --from-touch is for tables"),
-    ("replay {pose} --rows a=b", 1, "is no table: --rows is for tables"),
     ("replay {pose} --diameter 50furlong", 2, "is no size"),
-    ("replay {pose} --area -1", 2, "is no size"),
     ("replay {pose} --diameter 5mm --area 1mm2", 2, "not allowed with"),
     ("replay http://127.0.0.1:1/press.mcap", 1, "http://127.0.0.1:1/press.mcap cannot be reached"),
-    ("replay http://127.0.0.1:1/press.csv", 1, "http://127.0.0.1:1/press.csv cannot be reached"),
-    ("replay sftp://me@127.0.0.1:1/press", 1, "sftp://me@127.0.0.1:1/press cannot be reached"),
-    ("replay gopher://lab/press.mcap", 1, "gopher://lab/press.mcap is no URL that can be read"),
 ]
 
 
@@ -206,26 +149,6 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     assert table.read_text().startswith(before)
 
 
-def test_what_is_interrupted_says_what_is_done_and_how_to_go_on(tmp_path, capsys, monkeypatch):
-    table = tmp_path / "results.csv"
-    for name in ("one", "two", "three"):
-        air(tmp_path / "archive" / name, 1, 20)
-
-    def interrupted(bags, work, results, workers, on_bag):
-        rows = batch.identify(str(bags[0]), work)
-        results.add(rows)
-        on_bag(rows)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(batch, "run", interrupted)
-        assert fden("batch", tmp_path / "archive", "-o", table) == 130
-    said = capsys.readouterr().err
-    assert f"interrupted: {table} has 1 of 3 bags; the same command does the others" in said
-    assert fden("batch", tmp_path / "archive", "-o", table, "--workers", "1") == 0
-    assert "3 bags, 1 of them done before" in capsys.readouterr().out
-
-
 # Without workers
 
 
@@ -271,29 +194,6 @@ def test_a_bag_is_done_again_where_the_configuration_differs_or_its_rows_are_cut
         (bags[1], work.digest()),
         (bags[0], other.digest()),
     ]
-
-
-def test_an_archive_takes_memory_for_the_names_of_its_recordings_alone(tmp_path, work):
-    (row,) = batch.identify("nowhere", work)
-    handed = done = most = 0
-
-    def names() -> Iterator[Path]:
-        nonlocal handed
-        for handed in range(1, 3001):
-            yield Path(str(handed))
-
-    def see(rows: list[batch.Row]) -> None:
-        nonlocal done, most
-        done, most = done + 1, max(most, handed - done)
-
-    results = batch.Results(tmp_path / "results.csv", work.digest())
-    tracemalloc.start()
-    with ThreadPoolExecutor(2) as pool:
-        batch.run(names(), work, results, pool, see, lambda bag, _: [row | {"bag": bag}])
-    size, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert done == 3000 == len(rows_of(results.path)) and most <= 1000
-    assert size < 500 * done  # bytes; a row has some 5000
 
 
 def test_another_table_is_not_touched(tmp_path):
@@ -343,22 +243,7 @@ def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
     assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
 
 
-def test_the_report_draws_the_path(bag, tmp_path):
-    page = tmp_path / "page.html"
-    assert fden("report", bag, "--config", bag / "identifier.yaml", "-o", page) == 0
-    text = page.read_text(encoding="utf-8")
-    assert "<h2>Places</h2>" in text and "max strain" not in text
-
-
 # ``fden report``: what the page says, and that a browser shows it without a complaint
-
-
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium is installed: sudo apt-get install chromium"
-)
 
 
 @pytest.fixture(scope="module")
@@ -375,39 +260,7 @@ def page(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def browse(page: Path, *options: str) -> tuple[str, list[str]]:
-    """Return the page after its scripts ran, and what they, and the page's policy, complained."""
-    assert CHROMIUM is not None
-    done = subprocess.run(
-        [
-            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
-            *(f"--user-data-dir={page.parent / 'profile'}", "--enable-logging=stderr"),
-            *(*options, f"file://{page}"),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=True,
-    )
-    return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
-
-
 # The page
-
-
-@needs_browser
-def test_a_browser_shows_the_numbers_without_a_script_error(page, session):
-    dom, complaints = browse(page, "--dump-dom")
-    assert complaints == []
-    text = re.sub(r"<[^>]+>", " ", dom)
-    shown = np.array([float(number) for number in re.findall(r"\d+\.\d+", text)])
-    for summary in session.replay.summaries:
-        assert summary.estimate is not None
-        for value in np.exp(summary.estimate[:2]):
-            assert np.min(np.abs(shown / value - 1.0)) < 1e-3
-    assert "2 contacts at 2 sites; all converged." in text
-    assert dom.count('<details class="contact" open') == 2
-    assert dom.count("<svg") == 3 + 3 * 2
 
 
 def test_the_page_needs_nothing_from_elsewhere(page):
@@ -430,15 +283,7 @@ def test_text_from_the_recording_is_escaped(tmp_path, session):
     assert "<script>alert" not in html
 
 
-def test_a_recording_without_contact_is_a_page_that_says_so(tmp_path):
-    table = tmp_path / "air.csv"
-    table.write_text("t,f,d\n" + "".join(f"{i * 1e-2},0.0{i % 7},0\n" for i in range(300)))
-    out = tmp_path / "report.html"
-    assert fden("report", table, "--columns", "t,f,d", "-o", out) == 0
-    assert "No contact was found" in out.read_text()
-
-
-def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
+def test_one_sentence_says_how_stiff_it_is_and_what_to_do_next(tmp_path):
     """Pressing as deep as the sentence says makes Gn known."""
     tissue = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 
@@ -449,35 +294,9 @@ def test_one_sentence_says_what_it_is_how_stiff_and_what_to_do_next(tmp_path):
         bag = write_recording(recording, tmp_path / f"{strain}").path
         return sentence(gather(bag, read_parameter_file(bag / "identifier.yaml")))
 
-    words = re.fullmatch(
-        r"[\d.]+ ± [\d.]+ N/m at 1.6 mm; press to ([\d.]+) mm at .*; the target with \d+ %\.",
-        said(0.08),
-    )
+    shallow = r"[\d.]+ ± [\d.]+ N/m at 1.6 mm; press to ([\d.]+) mm for Gn\."
+    words = re.fullmatch(shallow, said(0.08))
     assert words is not None
-    depth = float(words.group(1))
-    assert re.fullmatch(r"Liver-like, [\d.]+ ± [\d.]+ N/m at [\d.]+ mm\.", said(depth / 20.0))
-
-
-# What is gathered
-
-
-def test_the_test_tells_large_and_coloured_innovations_from_right_ones():
-    from fden_ros.core.estimation import Innovation
-
-    def verdict(values: np.ndarray) -> str:
-        innovations = Innovations()
-        for value in values:
-            innovations.add(Innovation(0.0, 0.0, float(value), 1.0))
-        assert innovations.test is not None
-        return innovations.test.verdict
-
-    passed = 0
-    for seed in range(200):
-        white = np.random.default_rng(seed).normal(size=300)
-        passed += verdict(white) == "as large as the noise explains; white"
-        assert "larger than" in verdict(2.0 * white)
-        assert "smaller than" in verdict(0.5 * white)
-        for kernel, words in ((np.ones(4) / 2.0, "resemble"), ([0.8, -0.6], "are opposed to")):
-            coloured = verdict(np.convolve(white, kernel, "valid"))
-            assert f"not white: neighbours {words} each other" in coloured
-    assert passed >= 190  # 98 % expected of the two tests of 99 %
+    assert re.fullmatch(
+        r"Liver-like, [\d.]+ ± [\d.]+ N/m at [\d.]+ mm\..*", said(float(words.group(1)) / 20.0)
+    )
