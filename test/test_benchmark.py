@@ -8,18 +8,15 @@ from __future__ import annotations
 import csv
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from command_helpers import answer
-from property_helpers import counts, first
+from property_helpers import first
 
 from benchmark import (
     changes,
     classification,
-    exact,
     harness,
     invariance,
     laws,
@@ -27,13 +24,11 @@ from benchmark import (
     presses,
     real,
     replay,
-    robots,
 )
 from benchmark.bound import contact_bounds
-from benchmark.classification import told
 from benchmark.harness import within
 from benchmark.measured import Test as Measured
-from benchmark.measured import hold_order, read_tests
+from benchmark.measured import hold_order
 from benchmark.score import Judged, Share
 from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
@@ -59,18 +54,6 @@ def one_process(monkeypatch):
 
 
 # The command
-
-
-def test_without_a_checkout_one_line_says_that_it_needs_one(tmp_path):
-    code = (
-        "import fden_ros; fden_ros.__file__ = '/nowhere/fden_ros/__init__.py'; "
-        "from fden_ros.cli import main; raise SystemExit(main(['benchmark', 'real', '--quick']))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert "needs a checkout" in done.stderr and done.stderr.count("\n") == 1
 
 
 # Goals and tables
@@ -197,65 +180,7 @@ def test_a_small_run_of_each_writes_its_figures(words, small, tmp_path, capsys):
 # Disturbed rigs
 
 
-def test_rigs_are_judged_with_the_parameters_of_a_file(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(presses, "RATE_HZ", 100.0)
-    path = tmp_path / "mine.yaml"
-    path.write_text("/**: {ros__parameters: {displacement: {compliance: 0.0005}}}\n")
-    own = ("robots", "--cases", "compliance_0.5", "--contacts", 1, "--jobs", 1)
-    plain = benchmark(capsys, tmp_path, *own)["cases"]
-    told_of = benchmark(capsys, tmp_path, *own, "--parameters", path)["cases"]
-    name = "compliance 0.5 mm/N"
-    assert plain[name]["undetected"] == told_of[name]["undetected"] == [0, 1]
-    assert plain[name]["error over sd"] != told_of[name]["error over sd"]
-    assert plain[name]["invented"] == 0
-
-
-FOOLING = [case for case in presses.CASES.values() if case.detection and case.sites == 1]
-#: What is looked at in each run.
-OFTEN = (
-    *("vibration_moving_100mN", "vibration_12Hz_20mN", "liver_white_20mN"),
-    *("hum_20mN", "encoder_50um", "force_steps_10mN"),
-)
-
-
-@pytest.mark.parametrize("numbers", counts(1, 2))
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, marks=[] if case.name in OFTEN else pytest.mark.statistics)
-        for case in FOOLING
-    ],
-    ids=lambda case: case.name,
-)
-def test_presses_of_ten_times_the_noise_are_found_once_and_nothing_else_is(case, numbers):
-    outcomes = [robots.run_trial(case.name, number, {}, 10.0) for number in range(numbers)]
-    found = robots.row_of(case, outcomes, 10.0)
-    assert [found[name] for name in ("invented", "split", "stuck")] == [0] * 3
-    assert found["missed"] == Share(0, numbers)
-
-
 # The law's own tissue
-
-
-@pytest.mark.parametrize("number", first(135, 179, 281))
-def test_tissue_of_the_law_is_not_told_as_changed(number):
-    outcome = exact.run_trial(number, exact.LARGEST_SAMPLES).outcome
-    assert [bool(c.flags & Flag.TISSUE_CHANGED) for c in outcome.contacts] == [False]
-
-
-@pytest.mark.parametrize("number", first(247, 119))
-def test_tissue_of_the_law_is_at_no_moment_told_as_a_mismatch(number):
-    """Their priors are two deviations off, which is nothing that speaks against the law."""
-    outcome = exact.run_trial(number, exact.LARGEST_SAMPLES).outcome
-    assert not outcome.live & Flag.MODEL_MISMATCH
-
-
-@pytest.mark.statistics
-def test_a_second_press_of_a_hidden_touch_states_no_stiffness_that_is_off():
-    outcome = exact.run_trial(270, exact.LARGEST_SAMPLES).outcome
-    assert len(outcome.contacts) >= 2
-    for contact in outcome.contacts:
-        assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
 # Recordings of others
@@ -292,15 +217,6 @@ def test_a_relaxation_that_ends_is_told_before_a_prediction_is_off():
     assert all(p.refusal or p.inside > 0.9 for p in trial.predictions)
 
 
-def test_the_law_itself_is_predicted_within_its_interval():
-    trial = laws.run_trial(("fden", laws.RIGID), 2)
-    assert (trial.mismatch, trial.changed) == (Share(0, 1), Share(0, 1))
-    used = [prediction for prediction in trial.predictions if not prediction.refusal]
-    assert len(trial.predictions) == len(laws.MOMENTS) and len(used) >= 2
-    assert min(prediction.inside for prediction in used) > 0.9
-    assert max(prediction.error for prediction in used) < 0.01
-
-
 # Changes
 
 SLIDE, INCLUSION = changes.CHANGES[:2]
@@ -315,20 +231,6 @@ def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
         share = 0.5 if row.endswith("_arm") and change is INCLUSION else 0.75
         least = share * len(numbers)
         assert changes.told_in(delays)["in time"].part >= least, change.name
-
-
-@pytest.mark.parametrize("numbers", counts(1, 4))
-def test_nothing_is_told_of_tissue_that_stays_what_it_is(numbers):
-    narrow = {"prior.alpha_sd": 0.011, "prior.alpha": 0.05}
-    for own in ({}, narrow, {**narrow, "alpha.learn": False}):
-        delays = [changes.run_trial(("flat_30", "none"), number, own) for number in range(numbers)]
-        assert delays == [math.inf] * numbers, own
-
-
-def test_too_soon_and_too_late_are_not_in_time():
-    found = changes.told_in([0.05, 0.2, -0.1, math.inf])
-    assert (found["in time"], found["late"], found["false"]) == (Share(1, 4),) * 3
-    assert changes.told_in([-math.inf])["false"] == Share(1, 1)
 
 
 # Measured tests
@@ -354,11 +256,6 @@ def tables(tmp_path_factory):
         header = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
         csv.writer(file).writerows([header, *lines])
     return folder
-
-
-def test_measured_tests_of_two_materials_are_told_apart_by_two_processes(tables, monkeypatch):
-    monkeypatch.setattr(harness, "PROCESSES", 2)
-    assert told(read_tests(tables))["beef | silicone: errors"] == Share(0, 6)
 
 
 def test_a_hold_shows_its_order_whatever_the_curve():
@@ -422,18 +319,6 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
     assert read.values == list(range(10_000, 30_000))
     assert backlog.received["force"] == 20_000
     assert backlog.received_ns == 29_999
-
-
-def test_streams_that_waited_together_are_worked_off_side_by_side():
-    """After a pause, at whatever rates: neither is far ahead of the other."""
-    read = Read()
-    backlog = Backlog(read, is_restamped=False)
-    for name, rate in (("force", 500.0), ("displacement", 60.0)):
-        came = [[(b"%r" % (k / rate), k) for k in range(round(20.0 * rate))]]
-        backlog.add(name, lambda came=came: came.pop() if came else [], float)
-    while len(read.values) < 20 * 560:
-        backlog.work()
-    assert max(read.apart) < 2.0 / 60.0
 
 
 def test_stiffness_of_a_spring_and_dashpot_is_withheld_in_the_hold(monkeypatch):

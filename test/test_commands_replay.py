@@ -7,11 +7,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,22 +15,19 @@ import numpy as np
 import pytest
 import yaml
 from command_helpers import answer, fden
-from live_helpers import LIMIT
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from unknown_rig_bags import RigBag
 
 from fden_ros.configure.streams import Streams
-from fden_ros.errors import InputError
 from fden_ros.offline.replay import Replay, replay, result_object
 from fden_ros.parameters import Parameters, read_parameter_file
 from fden_ros.recording.message_types import message_class
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
-from fden_ros.recording.table import Columns
 from fden_ros.recording.writer import BagWriter
-from simulation.bag import PARAMETER_FILE, write_recording
-from simulation.scenario import load_scenario, ramp_scenario
+from simulation.bag import PARAMETER_FILE
+from simulation.scenario import load_scenario
 from simulation.simulate import START_NS, Recording, simulate
 
 ROOT = Path(__file__).parent.parent
@@ -135,24 +127,6 @@ def test_damaged_messages_are_counted_and_the_others_used(
 # Types that are not installed
 
 
-def test_fields_of_types_that_only_the_bag_knows_give_the_truth(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    config: Path,
-    recording: Recording,
-) -> None:
-    bag = foreign(recording, "plc").write(tmp_path / "bag")
-    inverted = tmp_path / "inverted.yaml"
-    inverted.write_text(config.read_text() + "    force.inverted: true\n")
-    options = (
-        *("--force-topic", "/tool/wrench", "--force-field", "channels[1]"),
-        *("--displacement-topic", "/arm/measured_cp", "--displacement-field", "tip"),
-    )
-    result = replayed(capsys, bag, "--config", inverted, *options)
-    check_truth(result, recording)
-    assert result["inputs"]["force"] == "/tool/wrench channels[1]"
-
-
 # Which topics
 
 
@@ -165,42 +139,6 @@ def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
             bag.add_topic(name, f"{package}/msg/{short}")
             bag.write(name, message, 5 * 10**9)
     return folder
-
-
-@pytest.mark.parametrize(
-    ("topics", "force", "displacement"),
-    [
-        (
-            {
-                "/psm1/measured_cf": "geometry_msgs/WrenchStamped",
-                "/psm1/measured_cp": "geometry_msgs/PoseStamped",
-                "/psm1/setpoint_cp": "geometry_msgs/PoseStamped",
-                "/psm1/measured_js": "sensor_msgs/JointState",
-            },
-            "/psm1/measured_cf",
-            "/psm1/measured_cp",
-        ),
-        (
-            {
-                "/joint_states": "sensor_msgs/JointState",
-                "/force_torque": "geometry_msgs/WrenchStamped",
-                "/desired_wrench": "geometry_msgs/WrenchStamped",
-            },
-            "/force_torque",
-            "/joint_states",
-        ),
-    ],
-)
-def test_the_only_sensible_pair_of_topics_is_found(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    topics: dict[str, str],
-    force: str,
-    displacement: str,
-) -> None:
-    bag = write_topics(tmp_path / "bag", *topics.items())
-    result = replayed(capsys, bag)
-    assert result["inputs"] == {"force": force, "displacement": displacement}
 
 
 def test_several_sensible_topics_are_listed_in_one_line(
@@ -276,39 +214,6 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     assert "--force" in line
 
 
-@pytest.fixture(scope="module")
-def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """So long that it is not replayed before a signal comes."""
-    scenario = ramp_scenario(strain_rate=0.5, max_strain=0.2, hold_s=20.0, seed=1)
-    bag = tmp_path_factory.mktemp("long") / "bag"
-    write_recording(simulate(scenario), bag)
-    return bag
-
-
-def test_an_interrupted_replay_leaves_no_bag(tmp_path: Path, long: Path) -> None:
-    out = tmp_path / "out" / "results"
-    out.parent.mkdir()
-    process = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "fden_ros.cli", "replay", str(long)),
-            *("--config", str(long / "identifier.yaml"), "-o", str(out)),
-        ],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        # A shell that runs the tests in the background has SIGINT ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    while not list(out.parent.rglob("*.mcap")) and process.poll() is None:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=LIMIT)
-    assert process.returncode == 128 + signal.SIGINT
-    assert errors == b""
-    assert list(out.parent.iterdir()) == []
-
-
 # The projector of measurements: fields of any message, tables and topics come out alike
 
 
@@ -356,33 +261,3 @@ def test_fields_give_what_the_topics_give_the_weight_of_the_tool_too(tmp_path: P
     assert without_names(fields) == without_names(topics)
     heavy = [s.max_force for s in topics.summaries]
     assert heavy != [s.max_force for s in replay(bag, own_parameters()).summaries]
-
-
-@pytest.mark.parametrize(
-    ("selection", "topic", "stream"),
-    [(None, POSES, "displacement"), (FIELDS, FORCE, "force")],
-    ids=["topics", "fields"],
-)
-def test_another_frame_is_rejected_wherever_a_sample_comes_from(
-    selection: Selection | None, topic: str, stream: str, tmp_path: Path
-) -> None:
-    renamed = []
-
-    def rename(name: str, number: int, message: Any) -> None:
-        if name == topic and number % 500 == 499:
-            message.header.frame_id = "elsewhere"
-            renamed.append(number)
-
-    bag = copied(tmp_path / "bag", rename)
-    result = replay(bag, own_parameters(), selection)
-    assert renamed
-    assert result.rejected[f"{stream}.wrong_frame"] == len(renamed)
-
-
-def test_table_without_orientations_is_refused_for_a_heavy_tool(tmp_path: Path) -> None:
-    table = tmp_path / "press.csv"
-    table.write_text("time,force,depth\n0.0,0.0,0.0\n0.1,0.0,0.0\n")
-    selection = Selection(columns=Columns.parse("time,force,depth"))
-    assert replay(table, Parameters(), selection).samples == 2
-    with pytest.raises(InputError, match=r"tool\.mass asks for the tool's orientation"):
-        replay(table, own_parameters(tool__mass=0.01), selection)

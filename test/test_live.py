@@ -45,7 +45,6 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
     late,
-    stale,
 )
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
@@ -108,16 +107,6 @@ def test_a_site_is_one_point_of_its_newest_contact():
     assert cloud["G"] == pytest.approx([320.0, 900.0])
     assert cloud["x"] == pytest.approx([0.01, 0.02])
     assert cloud["G_sd"] == pytest.approx([6.4, 18.0])
-
-
-def test_sites_are_taken_off_the_map_where_withdrawn_or_the_oldest_of_too_many():
-    stiffness_map = StiffnessMap()
-    for site in range(1, 1004):
-        stiffness_map.add(on_map(site))
-    assert points(stiffness_map.cloud())["x"] == pytest.approx(0.01 * np.arange(4, 1004))
-    withdrawn = replace(on_map(1003), estimate=None, converged=False)
-    assert stiffness_map.add(withdrawn) and withdrawn in stiffness_map
-    assert points(stiffness_map.cloud())["x"] == pytest.approx(0.01 * np.arange(4, 1003))
 
 
 def shown(view: MonitorView) -> str:
@@ -358,16 +347,6 @@ def test_an_estimate_is_refused_once_it_is_older_than_the_deadline(press):
     assert live.reading(late) is None and live.predictor(late) is None
 
 
-def test_an_identifier_without_input_is_lost_only_when_it_no_longer_says_so(press):
-    """It says so once a second: after a bag has ended nothing is frozen, killed or unreachable."""
-    live, now = press.heard_until(3.0)
-    live.add(stale(press.states[-1]), now)
-    assert live.refusal(now + 2.0).cause is Cause.STALE
-    assert live.refusal(now + 3.1).cause is Cause.LOST
-    live.count_publishers(0, now + 0.2)
-    assert live.refusal(now + 0.2).cause is Cause.LOST
-
-
 def test_a_second_publisher_of_the_estimate_is_refused_until_it_has_gone(press):
     losses: list[Refusal] = []
     live, now = press.heard_until(3.0, on_loss=losses.append)
@@ -453,27 +432,6 @@ def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(pres
     assert live.predictor(later[1].stamp_ns / NANOSECONDS) is not None
 
 
-def test_what_is_late_has_no_converged_parameters(press):
-    known = replace(next(s for s in press.states if s.status is Status.CONVERGED), lag=0.2)
-    assert late(known, 0.2) is known
-    found = late(known, 0.1)
-    assert found.status is Status.LATE and found.estimate is not None
-    assert not found.estimate.known and known.estimate is not None
-    assert found.estimate._replace(known=known.estimate.known) == known.estimate
-    unknown = replace(known, status=Status.UNKNOWN)
-    assert late(unknown, 0.1) is unknown
-    assert stale(known).lag == 0.0
-
-
-def test_an_estimate_that_was_held_up_on_its_way_is_refused(press):
-    live, now = press.heard_until(3.0)
-    later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS]
-    live.add(later[0], later[0].stamp_ns / NANOSECONDS + 1.5 * DEADLINE)
-    assert live.refusal(later[0].stamp_ns / NANOSECONDS + 1.5 * DEADLINE).cause is Cause.LATE
-    live.add(later[1], later[1].stamp_ns / NANOSECONDS)
-    assert live.refusal(later[1].stamp_ns / NANOSECONDS) is None
-
-
 def test_a_converged_estimate_that_is_contradicted_is_refused(press):
     live, now = press.heard_until(3.0)
     last = next(s for s in reversed(press.states) if s.stamp_ns <= (now + 1e-9) * NANOSECONDS)
@@ -487,19 +445,6 @@ def test_a_converged_estimate_that_is_contradicted_is_refused(press):
         now = stamp_ns / NANOSECONDS
         live.add(replace(last, stamp_ns=stamp_ns, innovation=wrong), now)
     assert live.refusal(now).cause is Cause.CONTRADICTED
-
-
-def test_a_slow_sensor_leaves_no_gap_and_an_estimate_that_was_not_heard_does(press):
-    every_100_ms = press.states[::10]
-    touched = next(n for n, state in enumerate(every_100_ms) if state.contact_id)
-    for missed, is_known in ((None, True), (touched + 5, False)):
-        live, now = LiveTissue(GEOMETRY, deadline=1.0), 0.0
-        for n, state in enumerate(every_100_ms):
-            if n != missed and state.stamp_ns <= 4.0 * NANOSECONDS:
-                now = state.stamp_ns / NANOSECONDS
-                live.add(state, now)
-        assert live.refusal(now) is None
-        assert (live.predictor(now) is not None) == is_known
 
 
 # Over DDS
