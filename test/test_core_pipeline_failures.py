@@ -328,3 +328,20 @@ def test_any_damage_to_a_contact_gives_sound_outputs(done, parameters):
         new = [c for item in part for c in damaged(kind, item, part[0], value, step)]
         items[place : place + length] = new[::-1] if kind == "swap" else new
     checked(items, dict(s.parameters) | parameters)
+
+
+@pytest.mark.parametrize("stamp", [1.5, 1e18, np.array([1]), "1"])
+def test_stamps_that_are_no_whole_nanoseconds_are_refused_in_one_line(stamp):
+    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
+    for add in (pipeline.add_force, pipeline.add_displacement):
+        with pytest.raises(TypeError, match="give whole nanoseconds") as refused:
+            add(stamp, 0.1)
+        assert "\n" not in str(refused.value)
+
+
+def test_arrays_for_samples_are_refused():
+    pipeline = Pipeline(pipeline_config(check({})), lambda output: None)
+    for add in (pipeline.add_force, pipeline.add_displacement):
+        add(np.int64(1), np.float64(0.1))
+        with pytest.raises(TypeError, match="one number at a time"):
+            add(2, np.zeros(3))

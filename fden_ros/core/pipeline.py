@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
+from numbers import Integral, Real
 from typing import Any
 
 from fden_ros.core.config import PipelineConfig
@@ -123,6 +124,7 @@ class Pipeline:
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
+        _check(stamp_ns, force)
         # Where frames move, the force is tared once it is in the base.
         offset = 0.0 if self.config.synchronize.frames is not None else self._tare_offset
         self._feed(self._synchronizer.add_force, stamp_ns, force - offset)
@@ -140,6 +142,7 @@ class Pipeline:
         `load` is the part of the tool's weight in the force at this orientation [N], `turn` the
         probe's orientation where it advances along its own axis.
         """
+        _check(stamp_ns, displacement)
         add = self._synchronizer.add_displacement
         self._feed(add, stamp_ns, displacement, position, load, turn)
 
@@ -280,3 +283,11 @@ def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:
     if not words or (config.is_continuous and not is_stated):
         return (), Flag.NONE  # a stiffness in N/m needs no geometry
     return (words,), Flag.IMPLAUSIBLE if is_stated else Flag.GEOMETRY_UNSTATED
+
+
+def _check(stamp_ns: object, value: object) -> None:
+    """Refuse a stamp that is no whole number, and arrays."""
+    if not isinstance(stamp_ns, Integral):
+        raise TypeError(f"stamp_ns is {stamp_ns!r}: give whole nanoseconds, round(1e9 * seconds)")
+    if not isinstance(value, Real):
+        raise TypeError(f"a sample is {value!r}: give one number at a time")

@@ -51,12 +51,16 @@ class Replay:
 
     @property
     def has_identified(self) -> bool:
-        """Whether a contact converged, or a stiffness is known, of one or of a place on a path."""
+        """Whether a contact converged, or N/m or a slope is known, of one or on a path."""
         if self.has_strokes:
             return False
         if any(s.converged or s.is_of_path for s in self.summaries):
             return True
-        return not self.is_air_doubted and any(map(knows_stiffness, self.summaries))
+        if self.is_air_doubted:
+            return False
+        return self.measured_unseen.loading is not None or any(
+            map(knows_stiffness, self.summaries)
+        )
 
     @property
     def with_stiffness_alone(self) -> frozenset[int]:
