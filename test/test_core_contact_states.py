@@ -42,7 +42,7 @@ def until(pipeline: Pipeline, items: list[Item], when: Callable[[Contact], bool]
 @functools.cache
 def at(state: State) -> bytes:
     """A pipeline whose contact is at a state, and the items to come."""
-    pipeline, _ = new(**{"estimator.observation": "fractional_stress"})
+    pipeline, _ = new(**{"estimator.kind": "ekf"})
     items = list(shift().items)
     is_forced = state in (State.INTERRUPTED, State.FAILED)
     until(pipeline, items, lambda c: c.state is (State.PRESSING if is_forced else state))

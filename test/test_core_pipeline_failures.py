@@ -218,7 +218,7 @@ events = st.lists(st.tuples(st.integers(0, 1), steps, values, st.booleans()), ma
 modes = st.sampled_from(
     [
         {},
-        {"estimator.observation": "fractional_stress"},
+        {"estimator.kind": "ekf"},
         {"geometry.kind": "sphere", "geometry.radius": 0.005},
         {"origin.source": "given", "force.measure_bias": False, "force.threshold": 0.01},
         {"displacement.delay": 0.01, "prior.nonlinear_stiffness_log_sd": 1.0},
@@ -315,7 +315,7 @@ def damaged(kind: str, item: Item, first: Item, value: float, step: int) -> list
         ("value", 0, 8, 0.0, 1),
         ("freeze", 1101, 11, 0.0, 1),
     ],
-    {"estimator.observation": "fractional_stress"},
+    {"estimator.kind": "ekf"},
 )
 @given(damages, modes)
 def test_any_damage_to_a_contact_gives_sound_outputs(done, parameters):

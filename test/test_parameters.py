@@ -393,12 +393,6 @@ class Heard:
         return float(self.summary.max_stress)
 
     @property
-    def predicted(self) -> float | None:
-        """The stress that is predicted last; None: the fractional stress alone is."""
-        found = [state.innovation for state in self.states if state.innovation is not None]
-        return None if found[-1].predicted_stress is None else float(found[-1].predicted_stress)
-
-    @property
     def sds(self) -> Any:
         """Standard deviations of ln G, ln Gn and alpha at the end."""
         return self.last.deviations
@@ -523,12 +517,7 @@ EFFECTS: dict[str, Effect] = {
     "site.distance": ("apart", {}, 0.02, one_site),
     "site.timeout": ("again", {}, 60.0, one_site),
     "alpha.learn": ("plain", {}, False, ends_with_alpha(0.131)),
-    "estimator.observation": (
-        "plain",
-        {},
-        "fractional_stress",
-        lambda a, b: a.predicted is not None and b.predicted is None,
-    ),
+    "estimator.kind": ("plain", {}, "ekf", lambda a, b: max(b.sds[:2]) < 0.5 * max(a.sds[:2])),
     "prior.linear_stiffness": (
         "plain",
         {},

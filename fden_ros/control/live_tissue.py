@@ -323,10 +323,8 @@ class LiveTissue:
         """Take note when the force misses what a converged estimate predicts, several times."""
         innovation, is_missed = state.innovation, False
         if innovation is not None and _is_known(state):
-            predicted = innovation.predicted_stress
-            if predicted is None:
-                predicted = innovation.predicted_fractional_stress
-            is_large = abs(innovation.innovation) > _MISSED_PART * abs(predicted)
+            most = _MISSED_PART * abs(innovation.predicted_stress)
+            is_large = abs(innovation.innovation) > most
             is_missed = is_large and innovation.normalized_squared > _MISSED_NIS
         self._misses = self._misses + 1 if is_missed else 0
         if self._misses >= _MISSES:

@@ -71,10 +71,6 @@ class LiftOff:
         self._since_pressed = 0.0
         self._left_at: float | None = None
 
-    def is_pressing(self, force: float) -> bool:
-        """Whether a force [N] is more than that of a probe that lets go."""
-        return force > self._release_force
-
     def see_mean(self, force: float) -> None:
         """Take the mean force of a block [N]: from a clear one on the first touch is over."""
         self._is_untouched &= force <= self._clear

@@ -1,241 +1,481 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""The paper's filter: recursive estimation on the fractional stress, in a room of its own.
+r"""The paper's recursion (``estimator.kind: ekf``): Kalman filters on the whitened stress.
 
-A Gaussian sum of extended Kalman filters.
+**Whitening.** The paper observes :math:`D^{-\alpha} f = G\,p(x; G_n) + D^{-\alpha} v`, with
+:math:`p = \varphi / G`. The integrated noise is correlated over the whole press. Its whitening
+filter is known, causal, and is :math:`D^\alpha`. Whitened, the same observation is
 
-The observation is the fractional stress :math:`f'_k = D^{-\alpha} f = \varphi(x_k; G, G_n) + v_k`
-(paper, Appendix F). A single filter commits itself before the strain passes :math:`1/G_n`, where
-:math:`G_n` is not observable, and never recovers; a sum of filters, each started at its own
-:math:`\ln G_n`, does not (Alspach and Sorenson, IEEE Trans. Autom. Control 17 (1972) 439).
+.. math:: f_k = G\,r_k + b + v_k, \qquad r = D^\alpha p, \qquad v_k \sim N(0, R_k)
 
-State of each member: :math:`(\ln G, \ln G_n, o, b)`, with o the strain origin and b the bias of
-the stress, nuisances that are known at best as well as the touch was seen and the sensor was
-tared:
+with b the bias of the sensor.
 
-.. math::
-    f'_k = \varphi\bigl(x(u_k - o); G, G_n\bigr) + b\,\frac{t_k^\alpha}{\Gamma(1+\alpha)} + v_k,
-    \qquad R_k = 0.9\,\sigma^2 \frac{t_k^{2\alpha}}{(1+2\alpha)\,\Gamma(1+\alpha)^2}
+**Nodes.** Given :math:`\theta = (\alpha, \ln G_n, o)`, o the contact point, this is linear in
+(G, b), which are constant. Each node has a Kalman filter of these two states without process
+noise, so nothing is linearised far from the truth (Rao-Blackwellised point-mass filter: Bucy and
+Senne 1971). The weight of a node is its prior times the likelihood of its innovations.
 
-u is the compression, :math:`t_k` the time since the memory began. :math:`R_k` stands for the
-coloured noise that white force noise
-:math:`\sigma` per sample becomes; a mean over m samples has :math:`R_k/m`.
+**Grid.** :math:`\theta = c + A z` with a product grid of z and A triangular, alpha first: nodes of
+one alpha share their kernel. A new grid is laid along the posterior's axes where few nodes count
+or the outermost do. The blocks of the contact, of which a bounded number is kept, are filtered
+again on it.
 
-alpha is not estimated here (choosing it by the residual of f' is a trap: the noise shrinks with
-alpha). Its uncertainty counts all the same: the sensitivity :math:`s = d\hat\theta/d\alpha` of the
-estimate is carried along,
-:math:`s \leftarrow (I - KH)s + K\,\partial f'/\partial\alpha`, and adds :math:`s s^T
-\sigma_\alpha^2` to the covariance (consider analysis: Tapley, Schutz and Born, Statistical Orbit
-Determination, 2004, ch. 6).
+**Memory.** The relaxation kernel is a sum of exponentials (:mod:`fden_ros.core.law.relaxation`):
+the past of a node is one number a rate.
+
+Law errors, compliance and delay are not modelled: they raise chi squared, and above
+:data:`MOST_CHI_SQUARED` nothing is claimed.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from filterpy.kalman import InformationFilter
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
     Block,
-    Component,
     Estimate,
     Estimator,
     EstimatorConfig,
     Innovation,
-    converged,
-    determined,
-    moments,
-    positive,
-    probability_beyond,
 )
-from fden_ros.core.law import (
-    MAX_EXPONENT,
-    Geometry,
-    elastic_response,
-    memory_slopes,
-    memory_weights,
+from fden_ros.core.estimation.claims import Evidence, claims_of
+from fden_ros.core.law import Geometry, phi
+from fden_ros.core.law.relaxation import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    RATE_COUNT,
+    RATES,
+    SHORTEST_STEP,
+    relaxation_weights,
 )
 
-#: Places in the state of a member, which has no alpha: not those of StateIndex.
-_LOG_G, _LOG_GN, _ORIGIN, _BIAS = range(4)
-#: Standard deviation of ln Gn of a member [1]; they are at most twice that apart, so that their
-#: sum is smooth.
-_MEMBER_SD = 0.06
-#: Half the range of the members in prior standard deviations of ln Gn [1]: nine members stand for
-#: the deviation of 0.2, and their sum has it within 5 % (test_core_paper_filter).
-_GRID_HALF_WIDTH = 2.25
-#: Share of the white-noise variance [1] that remains in f' where the information is, measured on
-#: simulated ramps.
-_NOISE_SHARE = 0.9
+#: Chi squared per block [1] above which law, rig or noise are not as the filter has them.
+MOST_CHI_SQUARED = 1.5
+#: Nodes on each side of the middle of an axis, and the step of a new grid in deviations of the
+#: posterior [1]: it covers 3.2 of them, and serves until they have shrunk to `_NARROW` steps.
+_SIDE, _STEP, _NARROW = 4, 0.8, 0.6
+#: Nodes that must count, 1 / sum w^2, and the most weight of the outermost [1]; else a new grid.
+_COUNTING, _EDGE = 4.0, 0.03
+#: Variance of the posterior in squared steps as far as it is believed: least, and most where the
+#: grid is to become narrower, or wider.
+_LEAST, _NARROWER, _WIDER = 0.05, (0.5 / _STEP) ** 2, (1.7 / _STEP) ** 2
+#: Furthest centre of a grid from the prior's, in deviations of it [1].
+_FURTHEST = 3.5
+_ROUNDS = 12  #: new grids at one time at most
+_RESTART = 0.5  #: share of the blocks that must come before a lost grid is laid anew [1]
+_RUN = 16  #: blocks of a run
+#: Standard deviations of the chi squared of runs above its mean above which nothing is claimed.
+_MOST_RUNS = 4.0
+_EVERY = 5  #: blocks after which the grid is looked at
+_LEAST_BIAS = 1e-6  #: variance of a known bias over that of the noise [1]
+_CAPACITY = 600  #: blocks that are kept of a contact; after them the grid stays
+_OUTSIDE = 5.0  #: deviations of the contact point before it from which on the way counts [1]
+_WAY = 12  #: points of that way at most
+_POINTS = 4  #: points of the motion in a block at most
+_SHALLOW = 1e-3  #: least compression at which the noise of the motion counts [1]
+#: Relative deviation of what the response of a block misses [1].
+_ERROR = 2e-4
 
 
-class _Kalman:
-    """One extended Kalman filter with its weight and its sensitivity to alpha."""
+class _Step(NamedTuple):
+    """The exponential memory over one block of piecewise linear motion: what holds for all nodes.
 
-    def __init__(self, start: Array, covariance: Array, log_weight: float) -> None:
-        # Importing it takes as long as all the rest of the core, and most never need it.
-        from filterpy.kalman import ExtendedKalmanFilter
+    Of c points, with shares of the block's samples.
+    """
 
-        self.filter = ExtendedKalmanFilter(dim_x=start.size, dim_z=1)
-        self.filter.x, self.filter.P = start, covariance.copy()
-        self.log_weight = log_weight
-        self.sensitivity = np.zeros(start.size)
-        self.log_weight_sensitivity = 0.0
-
-    def update(
-        self, predicted: float, jacobian: Array, observed: tuple[float, float], noise: float
-    ) -> float:
-        """Take f' and its derivative by alpha; return the variance of the prediction."""
-        own = self.filter
-        variances = own.P.diagonal()
-        if variances.min() < 0.0 or jacobian @ own.P @ jacobian < 0.0:
-            # A stiffness far beyond tissue makes the Jacobian enormous, and rounding the
-            # covariance indefinite: the member loses its weight, but must not stop the others.
-            own.P = np.diag(np.maximum(variances, 0.0))
-        own.update(
-            np.array([observed[0]]),
-            lambda _: jacobian[None],
-            lambda _: np.array([predicted]),
-            R=noise,
-        )
-        logs = own.x[: _LOG_GN + 1]
-        np.clip(logs, -MAX_EXPONENT, MAX_EXPONENT, out=logs)
-        innovation, variance = observed[0] - predicted, max(float(own.S[0, 0]), noise)
-        self.log_weight -= 0.5 * (innovation**2 / variance + math.log(variance))
-        by_order = observed[1] - float(jacobian @ self.sensitivity)
-        self.sensitivity = self.sensitivity + own.K[:, 0] * by_order
-        self.log_weight_sensitivity -= innovation / variance * by_order
-        return variance
+    compressions: Array  #: of the points [1], shape (c,)
+    shares: Array  #: of the samples, shape (c,)
+    by_memory: Array  #: of the mean response, by memory before, shape (RATE_COUNT,)
+    by_rise: Array  #: and by what p rises up to each point, shape (c, RATE_COUNT)
+    by_rate: Array  #: and by that over the time it took [1/s], shape (c,)
+    left: Array  #: of the memory after the block, shape (RATE_COUNT,)
+    gained: Array  #: by it from each rise, shape (c, RATE_COUNT)
 
 
-class FractionalStressEstimator(Estimator):
-    """The Gaussian sum.
+def _step(steps: Array, compressions: Array, shares: Array) -> _Step:
+    """Return a block whose points come after times [s]."""
+    times = np.cumsum(steps)
+    decay = np.exp(-RATES * np.maximum(np.subtract.outer(times, times), 0.0)[..., None])
+    decay *= np.tri(times.size)[..., None]
+    y = RATES * steps[:, None]
+    gain = -np.expm1(-y) / y
+    passed = np.exp(-RATES * times[:, None])
+    by_rise = np.tensordot(shares, decay, 1) * gain
+    gained = decay[-1] * gain
+    return _Step(
+        compressions, shares, shares @ passed, by_rise, shares / steps, passed[-1], gained
+    )
 
-    The blocks' memory holds all of the past, so that motion, rest and relinearisation are nothing
-    to this estimator. The noise of the fractional stress is coloured: its innovations prove
-    neither a mismatch nor a change.
+
+class _Bank(InformationFilter):
+    """filterpy's InformationFilter of (G, b) for all nodes at once: P_inv = ((a, c), (c, q))."""
+
+    def __init__(self, size: int, information: tuple[float, float]) -> None:
+        super().__init__(dim_x=2, dim_z=1)
+        self._g, self._gf = np.full(size, information[0]), np.zeros(size)
+        self._gb = np.zeros(size)
+        self._b, self._bf, self._square = information[1], 0.0, 0.0
+        self.count = 0
+
+    def update(self, z: float, R: float, response: Array) -> None:
+        """Take one block, H = (response, 1): P^-1 <- P^-1 + H'H/R, P^-1 x <- P^-1 x + H'z/R."""
+        weighed = response / R
+        self._g += weighed * response
+        self._gb += weighed
+        self._gf += weighed * z
+        self._b += 1.0 / R
+        self._bf += z / R
+        self._square += z * z / R
+        self.count += 1
+
+    def solve(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Return G, b, their variances, chi squared and the log likelihood of each node."""
+        det = self._g * self._b - self._gb**2
+        g = (self._b * self._gf - self._gb * self._bf) / det
+        b = (self._g * self._bf - self._gb * self._gf) / det
+        chi2 = self._square - g * self._gf - b * self._bf
+        return g, b, self._b / det, self._g / det, chi2, -0.5 * (chi2 + np.log(det))
+
+    def misfit(self, g: float, b: float, node: int) -> float:
+        """Return chi squared at a node for a given state."""
+        linear = g * self._gf[node] + b * self._bf - g * b * self._gb[node]
+        return float(self._square - 2.0 * linear + g * g * self._g[node] + b * b * self._b)
+
+
+class _Grid:
+    """Nodes of theta = (alpha, ln Gn, contact point), the memory of each, and their filters."""
+
+    def __init__(
+        self, centre: Array, axes: Array, geometry: Geometry, information: tuple[float, float]
+    ) -> None:
+        line = np.arange(-_SIDE, _SIDE + 1.0)
+        #: Of each axis, one place where it has no width.
+        places = [line if axes[i, i] > 0.0 else np.zeros(1) for i in range(3)]
+        self.z = np.stack(np.meshgrid(*places, indexing="ij"), -1).reshape(-1, 3)
+        self.centre, self.axes, self._geometry = centre, axes, geometry
+        self.theta = centre + self.z @ axes.T
+        self._gn = np.exp(self.theta[:, 1])
+        self.slices = places[0].size
+        orders = self.theta[:: len(self.z) // self.slices, 0]
+        self.is_possible = (self.theta[:, 0] >= LOWEST_ORDER) & (self.theta[:, 0] <= HIGHEST_ORDER)
+        kernels = [relaxation_weights(a) for a in np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)]
+        self._kernels = np.array(kernels)
+        self._memory = np.zeros((len(self.z), RATE_COUNT))
+        self._p = np.zeros(len(self.z))
+        self.bank = _Bank(len(self.z), information)
+        #: The same of means over runs of blocks, where a smooth misfit shows below the noise.
+        self.runs = _Bank(len(self.z), (0.0, 0.0))
+        self._run: list[Any] = [0.0] * 3
+        width = np.abs(self.z).max(axis=0)
+        self.is_outer = ((np.abs(self.z) == width) & (width > 0.0)).any(axis=1)
+
+    def observe(self, stress: float, noise: float, response: Array) -> None:
+        """Take the mean stress of a block [Pa], its variance and the response of each node."""
+        self.bank.update(stress, noise, response)
+        new: tuple[Any, ...] = 1.0, stress, response
+        self._run = [one + own / noise for one, own in zip(self._run, new, strict=True)]
+        if self.bank.count % _RUN == 0:
+            weight, whole, own = self._run
+            self.runs.update(whole / weight, 1.0 / weight, own / weight)
+            self._run = [0.0] * 3
+
+    def responses(self, compressions: Array) -> Array:
+        """Return p = phi / G at points, shape (..., nodes)."""
+        return phi(self.strains(compressions), 1.0, self._gn)
+
+    def strains(self, compressions: Array) -> Array:
+        """Return the strains of points, shape (..., nodes)."""
+        sizes = compressions[..., None] - self.theta[:, 2]
+        if self._geometry.is_one_sided:
+            sizes = np.maximum(sizes, 0.0)
+        return sizes if self._geometry.exponent == 1.0 else self._geometry.strains(sizes).values
+
+    def begin(self, compression: float) -> None:
+        """Begin at rest there."""
+        self._p = self.responses(np.array(compression))
+
+    def respond(self, step: _Step, p: Array) -> Array:
+        """Pass a block, with p (c, nodes) at its points; return the mean response r of each."""
+        rises = p - np.concatenate([self._p[None], p[:-1]])
+        kernels, count = self._kernels, self.slices
+        memory = self._memory.reshape(count, -1, RATE_COUNT)
+        found = memory @ (kernels[:, :RATE_COUNT] * step.by_memory)[..., None]
+        by_rise = kernels[:, :RATE_COUNT] @ step.by_rise.T + kernels[:, -1:] * step.by_rate
+        by_slice = rises.reshape(len(rises), count, -1)
+        response = found[..., 0] + np.einsum("sc,csq->sq", by_rise, by_slice)
+        response += kernels[:, -2:-1] * (step.shares @ p).reshape(count, -1)
+        self._memory *= step.left
+        self._memory += rises.T @ step.gained
+        self._p = p[-1]
+        return response.ravel()
+
+
+class _Weighed(NamedTuple):
+    """What the nodes of a grid say, each of shape (nodes,)."""
+
+    weights: Array  #: they add up to 1
+    log_weights: Array
+    log_g: Array  #: mean of ln G
+    log_g_variance: Array
+    bias: Array  #: mean of b [Pa]
+    bias_variance: Array  #: [Pa^2]
+    chi_squared: Array  #: of all blocks
+
+
+class PaperFilter(Estimator):
+    """The paper's filter of one site: of its first contact, up to the lift-off.
+
+    A later contact meets tissue that still recovers: of it nothing is claimed.
 
     Parameters
     ----------
-    geometry : Geometry
-        For the strain at a compression.
     noise_sd : float
         Standard deviation of the stress per sample [Pa].
     origin_sd : float
-        Standard deviation of the strain origin [1]; 0: known.
+        Standard deviation of the contact point [1]; 0: known.
+    path_variance : float
+        Of the compression per sample, times the time between samples [s].
     """
 
     def __init__(
-        self, config: EstimatorConfig, geometry: Geometry, noise_sd: float, origin_sd: float = 0.0
+        self,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        noise_sd: float,
+        origin_sd: float = 0.0,
+        path_variance: float = 0.0,
     ) -> None:
+        prior = config.prior
         self._config, self._geometry = config, geometry
-        prior, order = config.prior, config.prior.fractional_order
-        self._at_order, self._by_order = memory_weights(order), memory_slopes(order)
-        self._gamma = math.gamma(1.0 + order)
-        self._noise_variance = _NOISE_SHARE * noise_sd**2 / ((1.0 + 2.0 * order) * self._gamma**2)
-        spread = prior.nonlinear_stiffness_log_sd
-        half_width = _GRID_HALF_WIDTH * spread
-        offsets = np.linspace(
-            -half_width, half_width, 2 * math.ceil(half_width / (2.0 * _MEMBER_SD)) + 1
-        )
-        variance = np.diag([prior.linear_stiffness_log_sd**2, _MEMBER_SD**2, origin_sd**2, 0.0])
-        log_g, centre = prior.mean[:2]
-        self._members = [
-            _Kalman(
-                np.array([log_g, centre + offset, 0.0, 0.0]),
-                variance,
-                -0.5 * (offset / spread) ** 2 if spread > 0.0 else 0.0,
-            )
-            for offset in offsets.tolist()
-        ]
-        self._max_compression = 0.0
-        self._sample_count = 0
+        self._noise_variance, self._path_variance = noise_sd**2, path_variance
+        log_g, log_gn, order = prior.mean.tolist()
+        log_g_sd, log_gn_sd, order_sd = prior.deviations.tolist()
+        self._mean = np.array([order, log_gn, 0.0])
+        self._sd = np.array([order_sd, log_gn_sd, origin_sd])
+        self._log_g, self._log_g_sd = log_g, log_g_sd
+        self._wide = np.flatnonzero(self._sd > 0.0)
+        #: Of (G, b) before the touch: G is all but unknown, as its own prior counts later.
+        self._information = math.exp(-2.0 * (log_g + 3.0 * log_g_sd)), 1.0
+        self._contact_count = self._sample_count = 0
+        self._is_over, self._is_settled = False, True
+        self._blocks: list[tuple[_Step, float, float]] = []
+        self._weighed: _Weighed
+        self._samples: list[tuple[float, float]] = []  #: times and compressions of the next block
+        self._time = self._deepest = 0.0
+        self._next_look = self._restart = 0  #: at the grid, and from the prior's: counts of blocks
+        self._point = -SHORTEST_STEP  #: time of the newest point of the motion [s]
+        self._start = -math.inf  #: compression at which it begins, in the air [1]
+        self._lay(self._mean, np.diag(_STEP * self._sd))
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether law, rig or noise are not as the filter has them."""
+        if self._sample_count == 0:
+            return False
+        grid, found = self._grid, self._weighed
+        best, runs = int(found.weights.argmax()), grid.runs
+        if found.chi_squared[best] > MOST_CHI_SQUARED * grid.bank.count:
+            return True
+        misfit = runs.misfit(math.exp(found.log_g[best]), found.bias[best], best)
+        return misfit > runs.count + _MOST_RUNS * math.sqrt(2.0 * runs.count)
+
+    # Samples
 
     def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
-        """Let the bias [Pa] be as uncertain as that of the first contact; there is no drift."""
-        if self._sample_count == 0:
-            for member in self._members:
-                member.filter.P[_BIAS, _BIAS] = bias_sd**2
+        """Begin with the way of the probe, as far back as the touch may have been."""
+        self._contact_count += 1
+        self._is_over = self._contact_count > 1
+        if self._is_over:
+            return
+        least = _LEAST_BIAS * self._noise_variance
+        self._information = self._information[0], 1.0 / max(bias_sd**2, least)
+        way = way if way is not None else np.empty((3, 0))
+        outside = np.flatnonzero(way[1] < -_OUTSIDE * self._sd[2])
+        own = way[:, outside[-1] if outside.size else 0 :]
+        if own.size:
+            own = own[:, own[1].argmin() :]
+            self._point, self._start = own[:2, 0].tolist()
+        self._lay(self._mean, np.diag(_STEP * self._sd))
+        for part in np.array_split(own[:, 1:], min(_WAY, max(own.shape[1] - 1, 1)), axis=1):
+            if part.size:
+                self._pass(part[0], part[1], float(part[2].mean()))
 
-    def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the mixture's prediction."""
-        stress = float(self._at_order @ block.memory)
-        observed = stress, float(self._by_order @ block.memory)
-        growth = block.memory_time**self._config.prior.fractional_order
-        noise = self._noise_variance * growth**2 / block.size
-        weights, found = self._weights(), []
-        for member in self._members:
-            predicted, jacobian = self._model(member.filter.x, block.compression, growth)
-            found.append((predicted, member.update(predicted, jacobian, observed, noise)))
-        self._max_compression = max(self._max_compression, block.compression)
+    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
+        """Take a sample of a contact, `step` seconds after the last."""
+        self._time += step
+        self._is_over |= is_free
+        self._samples.append((self._time, compression))
+
+    def skip(self) -> None:
+        """Let the samples since the last block go by: the probe leaves the tissue."""
+        self._is_over = True
+
+    def update(self, block: Block) -> Innovation | None:
+        """Take one block; return how it compared with the prediction; None: it was not used."""
+        times, places = np.array(self._samples).T
+        self._samples.clear()
+        if self._is_over:
+            return None
         self._sample_count += block.size
-        predictions, variances = np.array(found).T
-        middle = float(weights @ predictions)
-        variance = float(weights @ (variances + (predictions - middle) ** 2))
-        # What has no weight costs time, and may wander to where its numbers lose all meaning.
-        weighed = zip(self._weights(), self._members, strict=True)
-        self._members = [member for weight, member in weighed if weight > 0.0]
-        return Innovation(middle, None, stress - middle, variance)
+        self._deepest = max(self._deepest, block.compression)
+        return self._pass(times, places, block.stress)
 
-    def _model(self, state: Array, compression: float, growth: float) -> tuple[float, Array]:
-        """Return f' of a member at a compression, and its derivatives."""
-        log_g, log_gn, origin, bias = state.tolist()
-        compression, gain = compression - origin, growth / self._gamma
-        strain = self._geometry.strain(compression)
-        response = elastic_response(strain, math.exp(log_g), math.exp(log_gn))
-        by_origin = -response.by_strain * self._geometry.strain_slope(compression)
-        jacobian = np.array([response.value, response.by_log_nonlinear_stiffness, by_origin, gain])
-        return response.value + bias * gain, jacobian
-
-    def _weights(self) -> Array:
-        log_weights = np.array([member.log_weight for member in self._members])
-        weights: Array = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        return weights
-
-    def estimate(self) -> Estimate:
-        """Return the mixture's mean and covariance, alpha's own uncertainty included."""
-        config, prior, weights = self._config, self._config.prior, self._weights()
-        modes = [
-            Component(weight, member.filter.x, member.filter.P)
-            for weight, member in zip(weights.tolist(), self._members, strict=True)
-        ]
-        mean, covariance = moments(modes)
-        sensitivity = self._sensitivity(weights, np.array([m.mean for m in modes]) - mean)
-        order_variance = prior.fractional_order_sd**2
-        covariance = covariance + np.outer(sensitivity, sensitivity) * order_variance
-        by_order = np.append(sensitivity[:2], 1.0) * order_variance
-        joint = np.column_stack([np.vstack([covariance[:2, :2], by_order[:2]]), by_order])
-        joint = positive(joint)
-        beyond = self._probability_beyond_boundary(modes)
-        deviations = np.sqrt(joint.diagonal())
-        valid = determined(config, deviations, beyond)
-        return Estimate(
-            log_linear_stiffness=float(mean[_LOG_G]),
-            log_nonlinear_stiffness=float(mean[_LOG_GN]),
-            fractional_order=prior.fractional_order,
-            covariance=joint,
-            contact_point=float(mean[_ORIGIN]),
-            contact_point_sd=math.sqrt(max(covariance[_ORIGIN, _ORIGIN], 0.0)),
-            probability_beyond_boundary=beyond,
-            observable=valid,
-            known=converged(config, deviations, valid),
-            sample_count=self._sample_count,
+    def _pass(self, times: Array, places: Array, stress: float) -> Innovation:
+        """Take the motion of a block and its mean stress [Pa]."""
+        grid, before = self._grid, self._weighed
+        step = self._step_of(times, places)
+        p = grid.responses(step.compressions)
+        response = grid.respond(step, p)
+        noise = self._noise_variance / times.size + self._missed(times, places, stress)
+        grid.observe(stress, noise, response)
+        self._weighed = self._weigh()
+        if len(self._blocks) < _CAPACITY:
+            self._blocks.append((step, stress, noise))
+            # In the air, before the first sample of the contact, all nodes behind the probe are as
+            # likely: a grid that follows them loses the touch.
+            if self._sample_count and len(self._blocks) >= self._next_look:
+                self._follow()
+                later = _EVERY if self._is_settled else _RESTART * len(self._blocks)
+                self._next_look = len(self._blocks) + math.ceil(later)
+        g = np.exp(before.log_g)
+        stresses = g * response + before.bias
+        predicted = float(before.weights @ stresses)
+        spread = before.log_g_variance * (g * response) ** 2 + (stresses - predicted) ** 2
+        variance = noise + float(before.weights @ spread)
+        return Innovation(
+            float(before.weights @ (g * p[-1])), predicted, stress - predicted, variance
         )
 
-    def _sensitivity(self, weights: Array, centred: Array) -> Array:
-        """Return the derivative of the mean by alpha: of the members, and of their weights."""
-        own = np.array([member.sensitivity for member in self._members])
-        by_weight = np.array([member.log_weight_sensitivity for member in self._members])
-        result: Array = weights @ own + (weights * (by_weight - weights @ by_weight)) @ centred
-        return result
+    def _missed(self, times: Array, places: Array, stress: float) -> float:
+        """Return the variance of a block's stress by the noise of the motion and the response.
 
-    def _probability_beyond_boundary(self, modes: list[Component]) -> float:
-        total = 0.0
-        for weight, mean, covariance in modes:
-            strain = self._geometry.strain(self._max_compression - mean[_ORIGIN])
-            sd = math.sqrt(max(covariance[_LOG_GN, _LOG_GN], 0.0))
-            total += weight * probability_beyond(strain, 0.0, float(mean[_LOG_GN]), sd)
-        return min(total, 1.0)
+        The stress goes with the motion by the larger of Gn and 1 / x, and what is fast has
+        relaxed less.
+        """
+        order, log_gn, origin = self._weighed.weights @ self._grid.theta
+        depth = max(float(places.mean() - origin), _SHALLOW)
+        slope = self._geometry.strain_slope(depth)
+        by_motion = slope * max(math.exp(log_gn), 1.0 / self._geometry.strain(depth))
+        lasted = max(float(times[-1] - times[0]), SHORTEST_STEP) * times.size / (times.size - 0.9)
+        age = max(self._time, lasted)
+        noise = self._path_variance / lasted * (age / lasted) ** (2.0 * order)
+        return float(stress**2 * (_ERROR**2 + by_motion**2 * noise))
+
+    def _step_of(self, times: Array, places: Array) -> _Step:
+        """Return the motion of a block, by means over a few parts of it."""
+        bounds = np.arange(min(_POINTS, times.size)) * times.size // min(_POINTS, times.size)
+        sizes = np.diff(bounds, append=times.size)
+        ends, points = (np.add.reduceat(values, bounds) / sizes for values in (times, places))
+        steps = np.maximum(np.diff(ends, prepend=self._point), SHORTEST_STEP)
+        self._point = float(ends[-1])
+        return _step(steps, points, sizes / times.size)
+
+    # Nodes
+
+    def _lay(self, centre: Array, axes: Array) -> None:
+        """Lay a grid, and filter the blocks so far on it."""
+        grid = self._grid = _Grid(centre, axes, self._geometry, self._information)
+        off = (grid.theta - self._mean)[:, self._wide] / self._sd[self._wide]
+        is_possible = grid.is_possible & (grid.theta[:, 2] >= self._start)
+        self._log_prior = np.where(is_possible, -0.5 * (off**2).sum(axis=1), -math.inf)
+        grid.begin(self._start)
+        if self._blocks:
+            points = [step.compressions for step, _, _ in self._blocks]
+            ends = np.cumsum([own.size for own in points])
+            parts = np.split(grid.responses(np.concatenate(points)), ends[:-1])
+            for p, (step, stress, noise) in zip(parts, self._blocks, strict=True):
+                grid.observe(stress, noise, grid.respond(step, p))
+        self._weighed = self._weigh()
+
+    def _weigh(self) -> _Weighed:
+        """Return what the nodes say, with the prior of ln G."""
+        grid = self._grid
+        g, bias, g_variance, bias_variance, chi2, log_weights = grid.bank.solve()
+        # Where nothing is known of G yet, the prior decides.
+        at = np.maximum(g, np.sqrt(g_variance))
+        mean, variance, prior_variance = np.log(at), g_variance / at**2, self._log_g_sd**2
+        total, off = variance + prior_variance, self._log_g - mean
+        log_weights += self._log_prior - mean - 0.5 * (off**2 / total + np.log(total))
+        log_weights -= log_weights.max()
+        return _Weighed(
+            normalized(log_weights),
+            log_weights,
+            mean + variance / total * off,
+            variance / total * prior_variance,
+            bias,
+            bias_variance,
+            chi2,
+        )
+
+    def _follow(self) -> None:
+        """Lay new grids until enough nodes count and the outermost do not."""
+        wide = np.ix_(self._wide, self._wide)
+        if self.is_mismatch and len(self._blocks) >= self._restart:
+            self._restart = math.ceil((1.0 + _RESTART) * len(self._blocks))
+            self._lay(self._mean, np.diag(_STEP * self._sd))
+        for _ in range(_ROUNDS):
+            grid, logs = self._grid, self._weigh().log_weights
+            weights, is_few = normalized(logs), False
+            while 1.0 / (weights @ weights) < _COUNTING:
+                is_few, logs = True, 0.5 * logs
+                weights = normalized(logs)
+            best = int(logs.argmax())
+            middle = grid.z[best] if is_few else weights @ grid.z
+            off = grid.z - middle
+            values, vectors = np.linalg.eigh(((off * weights[:, None]).T @ off)[wide])
+            self._is_settled = (
+                not is_few and values[0] >= _NARROW**2 and weights @ grid.is_outer <= _EDGE
+            )
+            if self._is_settled:
+                return
+            # Around one node that counts narrower each time, unless it lies at the edge.
+            most = _NARROWER if is_few and not grid.is_outer[best] else _WIDER
+            root = np.zeros((3, 3))
+            root[wide] = np.linalg.cholesky((vectors * np.clip(values, _LEAST, most)) @ vectors.T)
+            reach, centre = _FURTHEST * self._sd, grid.centre + grid.axes @ middle
+            centre = np.clip(centre, self._mean - reach, self._mean + reach)
+            self._lay(centre, _STEP * grid.axes @ root)
+        self._lay(self._mean, np.diag(_STEP * self._sd))
+
+    # Result
+
+    def estimate(self) -> Estimate:
+        """Return the moments of the weighted nodes, and what may be claimed of them."""
+        config, found, grid = self._config, self._weighed, self._grid
+        values = np.column_stack([found.log_g, grid.theta[:, [1, 0, 2]]])
+        mean = found.weights @ values
+        off = values - mean
+        covariance = (off * found.weights[:, None]).T @ off
+        covariance[0, 0] += found.weights @ found.log_g_variance
+        covariance[:2, :2] += config.uncertainty.thickness_sd**2
+        deviations = np.sqrt(covariance.diagonal())
+        strains = grid.strains(np.array(self._deepest))
+        beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
+        is_sound = self._is_settled and self._contact_count < 2 and not self.is_mismatch
+        claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
+        return Estimate(
+            log_linear_stiffness=float(mean[0]),
+            log_nonlinear_stiffness=float(mean[1]),
+            fractional_order=float(mean[2]),
+            covariance=covariance[:3, :3],
+            contact_point=float(mean[3]),
+            contact_point_sd=float(deviations[3]),
+            probability_beyond_boundary=beyond,
+            observable=claims.observable,
+            known=claims.known,
+            at_edge=claims.at_edge,
+            sample_count=self._sample_count,
+            with_origin=tuple(covariance[3, :3].tolist()),
+        )
+
+
+def normalized(log_weights: Array) -> Array:
+    """Return weights that add up to 1."""
+    weights: Array = np.exp(log_weights)
+    return weights / weights.sum()

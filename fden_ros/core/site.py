@@ -20,8 +20,8 @@ from fden_ros.core.estimation import (
     Budget,
     Estimate,
     Estimator,
+    EstimatorKind,
     Innovation,
-    Observation,
     PosteriorEstimator,
     Reservations,
     reserved,
@@ -30,7 +30,6 @@ from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
 from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
 from fden_ros.core.outputs import Flag
-from fden_ros.core.paper_filter import FractionalStressEstimator
 from fden_ros.core.standing import Standing
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
@@ -239,10 +238,12 @@ class Site(Standing):
         memory, innovation = self._memory.means(means.size), None
         fractional_stress = _fractional_stress(memory, self._config, self.estimate)
         if learns and self.is_observed and self._estimator is not None:
-            if _is_informative(means, self._lift_off, self._config, self.origin_sd):
+            self._lift_off.see_mean(means.force)
+            if not means.has_free:
                 block = _block(means, memory, self.start_ns, is_past=is_silent)
                 innovation = self._estimator.update(block)
-                _check_finite(innovation.innovation, innovation.variance)
+                if innovation is not None:
+                    _check_finite(innovation.innovation, innovation.variance)
             else:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
@@ -304,16 +305,6 @@ def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate
     return float(memory_weights(order) @ memory)
 
 
-def _is_informative(
-    means: Means, lift_off: LiftOff, config: PipelineConfig, origin_sd: float
-) -> bool:
-    """Whether the law holds for a block: not behind the surface, nor while letting go."""
-    if config.estimator.observation is Observation.FRACTIONAL_STRESS:
-        return lift_off.is_pressing(means.force) and means.compression > origin_sd
-    lift_off.see_mean(means.force)
-    return not means.has_free
-
-
 def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Block:
     """Return a block for the estimator, its time counted from the site's first touch."""
     return Block(
@@ -341,11 +332,13 @@ def dips(duration_ns: int) -> bool:
 def _new_estimator(
     config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float
 ) -> Estimator:
-    geometry = config.geometry
-    if config.estimator.observation is not Observation.FRACTIONAL_STRESS:
-        variance = noise / geometry.length**2
-        return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
-    return FractionalStressEstimator(config.estimator, geometry, noise_sd, origin_sd)
+    geometry, variance = config.geometry, noise / config.geometry.length**2
+    if config.estimator.kind is EstimatorKind.EKF:
+        # filterpy takes as long to import as all the rest of the core.
+        from fden_ros.core.paper_filter import PaperFilter
+
+        return PaperFilter(config.estimator, geometry, noise_sd, origin_sd, variance)
+    return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
 
 
 def _checked(estimate: Estimate) -> Estimate:

@@ -143,14 +143,12 @@ class Contact:
     contact_id: int
     states: Thinned = field(default_factory=lambda: Thinned(_STATES_A_CONTACT))
     summary: ContactSummary | None = None
-    observes_stress: bool = False
     innovations: Innovations = field(default_factory=Innovations)
 
     def add(self, state: TissueState) -> None:
         """Take a state of this contact."""
         self.states.add(state)
         if state.innovation is not None:
-            self.observes_stress = state.innovation.predicted_stress is not None
             self.innovations.add(state.innovation)
 
 
@@ -250,14 +248,11 @@ def normalized_innovation(innovation: Innovation) -> float:
 
 
 def predicted_stress(contact: Contact) -> tuple[Array, Array]:
-    """Return time [s] and predicted stress [Pa], shape (n,) each.
-
-    Empty where the fractional stress is observed.
-    """
+    """Return time [s] and predicted stress [Pa], shape (n,) each."""
     states = [
         s for s in contact.states.items if s.signals is not None and s.innovation is not None
     ]
-    if len(states) < 2 or not contact.observes_stress:
+    if len(states) < 2:
         return np.zeros(0), np.zeros(0)
     time = np.array([(s.stamp_ns - states[0].stamp_ns) / NANOSECONDS for s in states])
     return time, np.array([s.innovation.predicted_stress for s in states])

@@ -230,7 +230,6 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
         "drawings": drawings,
         "law": law(summary.estimate),
         "test": contact.innovations.test,
-        "domain": "stress" if contact.observes_stress else "fractional stress",
         "classes": (
             list(zip(summary.classes.names, summary.classes.probabilities, strict=True))
             if summary.classes is not None

@@ -89,12 +89,10 @@ def estimate_message(state: TissueState, frame_id: str) -> TissueEstimate:
         valid |= TissueEstimate.VALID_SIGNALS
         _fill(message, state.signals, "strain", "stress", "fractional_stress")
     if state.innovation is not None:
-        valid |= TissueEstimate.VALID_INNOVATION
-        _fill(message, state.innovation, "predicted_fractional_stress", "innovation")
+        valid |= TissueEstimate.VALID_INNOVATION | TissueEstimate.VALID_PREDICTED_STRESS
+        names = "predicted_fractional_stress", "predicted_stress", "innovation"
+        _fill(message, state.innovation, *names)
         message.normalized_innovation_squared = state.innovation.normalized_squared
-        if state.innovation.predicted_stress is not None:
-            valid |= TissueEstimate.VALID_PREDICTED_STRESS
-            message.predicted_stress = state.innovation.predicted_stress
     if state.apparent_stiffness is not None:
         valid |= TissueEstimate.VALID_APPARENT_STIFFNESS
         _fill_apparent_stiffness(message, state.apparent_stiffness)
@@ -238,7 +236,7 @@ def state_of(message: TissueEstimate) -> TissueState:
         else None,
         innovation=Innovation(
             message.predicted_fractional_stress,
-            message.predicted_stress if valid & TissueEstimate.VALID_PREDICTED_STRESS else None,
+            message.predicted_stress,
             message.innovation,
             message.innovation**2 / (message.normalized_innovation_squared or 1.0),
         )

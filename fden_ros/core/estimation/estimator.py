@@ -27,9 +27,9 @@ class Innovation(NamedTuple):
     """How one block compared with its prediction."""
 
     predicted_fractional_stress: float  #: [Pa s^alpha]
-    predicted_stress: float | None  #: [Pa]; None where the fractional stress is observed
-    innovation: float  #: observed less predicted [Pa, or Pa s^alpha]
-    variance: float  #: of the innovation, in its unit squared
+    predicted_stress: float  #: [Pa]
+    innovation: float  #: observed less predicted [Pa]
+    variance: float  #: of the innovation [Pa^2]
 
     @property
     def normalized_squared(self) -> float:
@@ -87,8 +87,8 @@ class Estimator:
     def skip(self) -> None:
         """Let the samples since the last block go by."""
 
-    def update(self, block: Block) -> Innovation:
-        """Take one block; return how it compared with the prediction.
+    def update(self, block: Block) -> Innovation | None:
+        """Take one block; return how it compared with the prediction; None: it was not used.
 
         Raises
         ------

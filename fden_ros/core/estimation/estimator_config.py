@@ -76,11 +76,11 @@ class Prior:
 KERNEL_SHARE = 0.25
 
 
-class Observation(enum.Enum):
-    """What an estimator takes."""
+class EstimatorKind(enum.Enum):
+    """Which estimator."""
 
-    STRESS = "stress"
-    FRACTIONAL_STRESS = "fractional_stress"
+    GRID = "grid"
+    EKF = "ekf"
 
 
 @dataclass(frozen=True)
@@ -159,20 +159,20 @@ NOTHING_UNKNOWN = Uncertainty(**{field.name: 0.0 for field in fields(Uncertainty
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """Prior, observation, and thresholds of convergence."""
+    """Prior, kind, and thresholds of convergence."""
 
     prior: Prior = Prior()
-    observation: Observation = parameter(
-        "estimator.observation",
-        Observation.STRESS,
-        "What is observed: the stress, or the fractional stress as in the paper, which does not "
-        "learn alpha.",
+    kind: EstimatorKind = parameter(
+        "estimator.kind",
+        EstimatorKind.GRID,
+        "The estimator: grid models the errors of law and rig; ekf is the paper's recursion, for "
+        "a stiff bench with an accurate law.",
     )
     learns_fractional_order: bool = parameter(
         "alpha.learn",
         True,
         "Learn alpha together with G and Gn; false: it is prior.alpha, and counts with "
-        "prior.alpha_sd.",
+        "prior.alpha_sd. An estimator.kind of ekf learns it unless prior.alpha_sd is 0.",
     )
     converged_log_gn_sd: float = parameter(
         "converged.log_gn_sd",
@@ -209,7 +209,6 @@ class EstimatorConfig:
     def is_order_given(self) -> bool:
         """Whether alpha is a setting and not learned."""
         return (
-            not self.learns_fractional_order
-            or self.observation is Observation.FRACTIONAL_STRESS
+            (not self.learns_fractional_order and self.kind is EstimatorKind.GRID)
             or self.prior.fractional_order_sd == 0.0
         )
