@@ -60,7 +60,8 @@ class TissueFeed(LiveTissue):
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
     real_time : bool
-        False where a bag is played at another pace; see :class:`LiveTissue`.
+        The stamps advance with the clock. With false, for bags played at another pace, an estimate
+        that was held up on its way looks like a fresh one.
     on_loss : callable or None
         Called with the :class:`Refusal` when there is none to rely on any more.
     on_state : callable or None

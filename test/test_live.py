@@ -128,7 +128,7 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
         estimate=ESTIMATE,
         signals=Signals(0.2, 500.0, 400.0),
     )
-    slope = MeasuredSlope(2619.7, 12.0, 0.005, 0.001, 0)
+    slope = MeasuredSlope(2619.7, 12.0, 0.005, 0)
     unknown = ESTIMATE._replace(known=ParameterSet(0))
     alone = replace(on_map(2), converged=False, estimate=unknown, measured=Slopes(slope))
     view = MonitorView(
@@ -387,7 +387,7 @@ def test_what_cannot_be_relied_on_is_refused_with_its_cause_and_flags(press, cha
 def test_stiffness_is_that_of_the_law_where_it_is_known_and_the_measured_slope_where_only_that_is(
     press,
 ):
-    slope = MeasuredSlope(100.0, 5.0, 0.004, 0.001, 0)
+    slope = MeasuredSlope(100.0, 5.0, 0.004, 0)
     by_slope, nothing = (100.0, 5.0, 0.004), None
     for flags, deviation, measured, expected in (
         (Flag.NONE, 0.1, slope, "law"),

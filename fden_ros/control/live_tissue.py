@@ -20,7 +20,7 @@ from typing import NamedTuple
 from fden_ros.control.prediction import Predictor, TissueMemory
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
 from fden_ros.core.law import SHORTEST_STEP, Geometry
-from fden_ros.core.outputs import WITHHELD, Flag, Phase, Status, TissueState
+from fden_ros.core.outputs import Flag, Phase, Status, TissueState
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
@@ -33,17 +33,8 @@ LAW_FLAGS = (
     | Flag.ALPHA_PRIOR_CONFLICT
     | Flag.GEOMETRY_UNSTATED
 )
-#: With one of these nothing is relied on.
-REFUSED_FLAGS = (
-    LAW_FLAGS
-    | Flag.GAP
-    | Flag.TOUCH_NOT_OBSERVED
-    | Flag.TISSUE_CHANGED
-    | Flag.SATURATED
-    | Flag.ESTIMATION_FAILED
-    | Flag.FORCE_DRIFTED
-    | WITHHELD
-)
+#: With one of the others nothing is relied on.
+REFUSED_FLAGS = ~Flag.INPUT_REJECTED
 #: N/m is stated from this number of its standard deviations on, as the measured slope is.
 _STATED_FROM = 4.0
 #: The stress between two estimates is not known where they are farther apart than this time [s]
@@ -129,24 +120,8 @@ class LiveTissue:
 
     `now` is the time by a clock that never jumps [s]; without it by ``time.monotonic``.
 
-    Parameters
-    ----------
-    geometry : Geometry or None
-        As the identifier's: for forces and displacements of predictions.
-    uncertainty : Uncertainty
-        As the identifier's: what is not known of the rig counts in predictions.
-    deadline : float
-        An estimate older than this is refused [s].
-    real_time : bool
-        The stamps advance with the clock. With false, for bags played at another pace, an estimate
-        that was held up on its way looks like a fresh one.
-    on_loss : callable or None
-        Called with the :class:`Refusal` when there is no estimate to rely on any more.
-
-    Attributes
-    ----------
-    restarts : int
-        How often the identifier began anew: its memory of the tissue is gone then.
+    Its parameters are those of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how
+    often the identifier began anew, whose memory of the tissue is gone then.
     """
 
     def __init__(
@@ -307,7 +282,13 @@ class LiveTissue:
         if state.status in _BY_STATUS:
             return _BY_STATUS[state.status]
         if not _is_known(state):
-            return Cause.NOT_OBSERVABLE if _is_linear(state) else Cause.NOT_CONVERGED
+            estimate = state.estimate
+            is_linear = (
+                estimate is not None
+                and ParameterSet.LINEAR_STIFFNESS in estimate.known
+                and ParameterSet.NONLINEAR_STIFFNESS not in estimate.observable
+            )
+            return Cause.NOT_OBSERVABLE if is_linear else Cause.NOT_CONVERGED
         return Cause.CONTRADICTED if self._contradicted == state.contact_id else None
 
     def _watch_delay(self, state: TissueState, now: float) -> None:
@@ -332,7 +313,8 @@ class LiveTissue:
 
     def _remember(self, state: TissueState) -> None:
         """Follow the stress of the present site; nothing touches it between contacts."""
-        is_air = _is_in_air(state)
+        is_late_air = state.status is Status.LATE and state.phase is Phase.APPROACH
+        is_air = is_late_air or state.status is Status.NO_CONTACT
         if state.site_id != self._memory_site:
             # Heard from the air on, nothing of a new site is missed.
             is_first = self._memory_site < 0
@@ -376,22 +358,6 @@ def _is_known(state: TissueState) -> bool:
         and state.apparent_stiffness is not None
         and state.signals is not None
     )
-
-
-def _is_linear(state: TissueState) -> bool:
-    """Return whether G is known, and Gn not observable."""
-    estimate = state.estimate
-    return (
-        estimate is not None
-        and ParameterSet.LINEAR_STIFFNESS in estimate.known
-        and ParameterSet.NONLINEAR_STIFFNESS not in estimate.observable
-    )
-
-
-def _is_in_air(state: TissueState) -> bool:
-    """Return whether a state, late or not, says that nothing is touched."""
-    is_late = state.status is Status.LATE and state.phase is Phase.APPROACH
-    return is_late or state.status is Status.NO_CONTACT
 
 
 def _started_again(before: TissueState, after: TissueState) -> bool:

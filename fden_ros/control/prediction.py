@@ -45,8 +45,8 @@ from fden_ros.core.law import (
 )
 from fden_ros.errors import InputError
 
-#: Points of a plan are this close at most, as a part of its length.
-_FINEST_PART = 40
+#: A plan is followed over at least this number of steps.
+_POINTS = 40
 #: Derivatives are differences over this part of a standard deviation [1].
 _DERIVATIVE_PART = 0.1
 #: Least elastic response, by its slope at small strain, whose relative change counts [1].
@@ -146,7 +146,7 @@ class Predictor:
             If the plan has no shape, or its times do not increase from 0.
         """
         wanted, moves = _checked(times, displacements)
-        grid = _grid(wanted)
+        grid = np.union1d(wanted, np.linspace(0.0, wanted[-1], _POINTS + 1)[1:])
         moved = np.interp(grid, np.append(0.0, wanted), np.append(0.0, moves))
         start = self.geometry.compression(self.memory.strain)
         compressions = start + np.append(0.0, moved) / self.geometry.length
@@ -260,13 +260,3 @@ def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
             "plan: times must increase from 0 by more than 10 µs each, and displacements be finite"
         )
     return instants, planned
-
-
-def _grid(wanted: Array) -> Array:
-    """Return the plan's times with enough others in between, shape (m,)."""
-    finest = wanted[-1] / _FINEST_PART
-    parts = [
-        np.linspace(start, stop, max(math.ceil((stop - start) / finest), 1) + 1)[1:]
-        for start, stop in zip(np.append(0.0, wanted[:-1]), wanted, strict=True)
-    ]
-    return np.concatenate(parts)
