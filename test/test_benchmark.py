@@ -224,13 +224,13 @@ SLIDE, INCLUSION = changes.CHANGES[:2]
 
 @pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))
 @pytest.mark.parametrize("row", first("flat_30", "sphere_30", "flat_100_arm"))
-def test_changes_are_told_in_time_at_slow_rates_too(row, numbers):
+def test_changes_are_reported_at_slow_rates_too(row, numbers):
     for change in (SLIDE, INCLUSION):
         delays = [changes.run_trial((row, change.name), number, {}) for number in numbers]
-        # With the open questions of an arm an inclusion of 1.5 is told in time in half of them.
+        # With the open questions of an arm an inclusion of 1.5 is reported in half of them.
         share = 0.5 if row.endswith("_arm") and change is INCLUSION else 0.75
         least = share * len(numbers)
-        assert changes.told_in(delays)["in time"].part >= least, change.name
+        assert changes.reported_in(delays)["reported"].part >= least, change.name
 
 
 # Measured tests

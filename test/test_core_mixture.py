@@ -40,8 +40,8 @@ from fden_ros.core.estimation.mixture import (
 )
 from fden_ros.core.estimation.press_estimate import estimate_of
 from fden_ros.core.estimation.proposals import hidden_origin, linear
-from fden_ros.core.estimation.search import Care, Search
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN, change_since
+from fden_ros.core.estimation.search import Search
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import Column, FdenModel, Tissue
 
@@ -404,30 +404,6 @@ def test_what_is_held_is_compared_by_what_is_not() -> None:
     flat = [Component(0.5, np.array([x, 1.0]), np.diag([1.0, 0.0])) for x in (-3.0, 3.0)]
     assert len(collapsed(flat, 2, 0.1, [0, 1])) == 2
     assert len(collapsed([one._replace(mean=np.zeros(2)) for one in flat], 2, 0.1, [0, 1])) == 1
-
-
-@pytest.mark.parametrize("share", [0.1, 0.4, 0.9])
-def test_what_is_known_is_the_same_when_a_press_is_put_away(share: float) -> None:
-    """Of two hypotheses, one of them with a change of the stiffness."""
-    estimator = estimator_of()
-    list(press(estimator, tissue_of(), motion(0.15)))
-    own = estimator.press
-    assert own is not None
-    one = own.best
-    changed = one.with_event(change_since(0.7))
-    solved = changed.search(
-        own.intake.record.points(), 1.2, own.intake.deepest, own.intake.compression_sd, Care.ASKED
-    )
-    changed.take_over(ended(solved.in_parts()), 0.0)
-    own.hypotheses = [one, changed]
-    for each, weight in ((one, 1.0 - share), (changed, share)):
-        each.shift_weight(math.log(weight) - each.log_weight)
-    own.weigh()
-    before = estimator.estimate()
-    estimator.put_away()
-    after = estimator.estimate()
-    np.testing.assert_allclose(after.mean, before.mean, atol=1e-9)
-    np.testing.assert_allclose(after.covariance, before.covariance, atol=1e-9)
 
 
 @pytest.mark.parametrize(("held", "gaussians"), [(ORIGIN, 1), (LOG_GN, 2)])

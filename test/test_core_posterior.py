@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,6 @@ from fden_ros.core.estimation.filter import LinearRange, PressFilter
 from fden_ros.core.estimation.maximum import CONVERGED
 from fden_ros.core.estimation.posterior import UNSOLVABLE, Posterior
 from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.proposals.change import ChangeLook
 from fden_ros.core.estimation.record import MOST_BLOCKS, Record
 from fden_ros.core.estimation.scales import scales_of
 from fden_ros.core.estimation.smooth_errors import characteristic_prior, strain_range
@@ -313,58 +311,10 @@ def test_what_a_linear_model_lacks_is_what_the_law_has_beyond_first_order(
     assert reach.lacking(block, about) == 0.0
 
 
-def met_at(press: Press) -> int:
-    """The sample at which a change is met."""
-    return int(np.argmax(press.strains >= 0.6 * press.strains.max()))
-
-
-def look_at(press: Press, jerk: float = 0.0, block: int = -3, count: int = 60) -> Unknown | None:
-    """What is found so many samples beyond, where a block has a jerk [Pa]."""
-    deepest = met_at(press)
-    before = Press(*(a[:deepest] for a in press[:3]), *press[3:])
-    after = Press(*(a[: deepest + count].copy() for a in press[:3]), *press[3:])
-    middle, duration = (a[block] for a in (points_of(after).middles, points_of(after).durations))
-    after.stresses[np.abs(after.times - middle) < 0.5 * duration] += jerk
-    whole = posterior_of(press, LAW_OFF)
-    state = whole.belief.mean.copy()
-    state[:3] = press.truth
-    scales = max((g.scales for g in whole.grid), key=lambda s: s.roughness)
-    solution = ended(whole.solutions_in_parts(points_of(before), [state], scales))[0]
-    strain = float(press.strains.max())
-    made = partial(posterior_with, press)
-    look = ChangeLook(points_of(after), [solution], whole, made, strain)
-    return ended(look.in_parts()).event
-
-
-def posterior_with(press: Press, *events: Unknown) -> Posterior:
-    """The posterior with changes or jerks."""
-    return posterior_of(press, LAW_OFF, events)
-
-
 def test_a_bend_beyond_numbers_has_no_prior_and_is_no_crash() -> None:
     # A plan after presses that contradict each other drew ln Gn of -1,410.
     with pytest.raises(UNSOLVABLE):
         characteristic_prior(math.exp(-1410.0), 1.0)
-
-
-@pytest.mark.parametrize(("factor", "is_said"), [(1.0, False), (1.5, True), (0.6, True)])
-def test_a_change_of_the_stiffness_is_said_where_it_is_one(factor: float, is_said: bool) -> None:
-    found = look_at(pressed(11, 0.005, factor))
-    assert (found is not None and found.since is not None) == is_said
-
-
-def test_a_change_is_placed_between_the_times_that_are_looked_at() -> None:
-    press = pressed(11, 0.005, 1.5)
-    found = look_at(press, count=40)
-    assert found is not None
-    # Within a block: the one after it may have had the change for part of its time.
-    assert found.since == pytest.approx(press.times[met_at(press)], abs=0.01)
-
-
-@pytest.mark.parametrize(("jerk", "block"), [(-600.0, -3), (600.0, -4)])
-def test_a_jerk_of_one_block_is_no_change_of_the_tissue(jerk: float, block: int) -> None:
-    found = look_at(pressed(11, 0.005), jerk, block)
-    assert found is None or found.since is None
 
 
 def test_a_record_is_bounded_and_grows_with_the_logarithm_of_a_hold() -> None:

@@ -13,12 +13,11 @@ import pytest
 from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts
 from scipy.signal import lfilter
-from scipy.stats import chi2
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, PosteriorEstimator
 from fden_ros.core.estimation.whiteness import contradicts
 from fden_ros.core.law import PassThrough
-from fden_ros.core.outputs import Flag, TissueState
+from fden_ros.core.outputs import Flag
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import load_scenario
@@ -106,7 +105,7 @@ def test_alpha_is_learned_from_a_hold_and_the_covariance_is_that_of_the_errors(s
         stress = exact_stress(time, rate, top, FdenModel(*truth))
         stress += bias + NOISE * rng.standard_normal(time.size)
         estimator = estimator_of(origin_sd=0.002, bias_sd=0.3)
-        alarms += fed(estimator, motion + origin, stress) or estimator.change_count > 0
+        alarms += fed(estimator, motion + origin, stress)
         estimator.begin_finish()
         estimator.finish()
         estimate = estimator.estimate()
@@ -174,34 +173,17 @@ def test_a_relaxation_that_ends_is_told_of_a_law_that_may_be_off():
     assert estimator.is_mismatch
 
 
-@pytest.mark.parametrize("seeds", counts(1, 2))
-def test_inclusion_met_on_the_way_is_told_at_once_and_its_stiffness_learned(seeds):
+@pytest.mark.parametrize("seed", first(0, 1))
+def test_of_an_inclusion_met_on_the_way_nothing_is_known_until_the_next_touch(seed):
     scenario = load_scenario("inclusion")
-    rate = scenario.sites[0].presses[0].strain_rate
-    errors = []
-    for seed in range(seeds):
-        recording = simulate(scenario, seed)
-        _, outputs = identified(items_of(recording), parameters_of(recording))
-        truth, found = recording.truth, summaries_of(outputs)
-        assert len(found) == len(truth["contacts"])
-        for summary, contact, site in zip(found, truth["contacts"], truth["sites"], strict=True):
-            assert summary.flags & Flag.TISSUE_CHANGED and summary.converged
-            assert not summary.flags & Flag.MODEL_MISMATCH
-            told = next(
-                o.stamp_ns
-                for o in outputs
-                if isinstance(o, TissueState)
-                and o.contact_id == summary.contact_id
-                and o.flags & Flag.TISSUE_CHANGED
-            )
-            met = contact["start_ns"] * 1e-9 + site["stiffening"]["strain"] / rate
-            assert 0.0 < told * 1e-9 - met < 0.06
-            parameters = ("linear_stiffness", "nonlinear_stiffness")
-            exact = (*(site[name] for name in parameters), summary.estimate.fractional_order)
-            error = error_of(summary.estimate, exact)[:2]
-            assert np.all(np.abs(error) < 0.02)
-            errors.append(error / np.sqrt(summary.estimate.covariance.diagonal()[:2]))
-    assert np.sum(np.square(errors)) < chi2.ppf(0.9999, np.size(errors)), errors
+    recording = simulate(scenario, seed)
+    _, outputs = identified(items_of(recording), parameters_of(recording))
+    found = summaries_of(outputs)
+    assert len(found) == len(recording.truth["contacts"])
+    for summary in found:
+        assert summary.flags & Flag.TISSUE_CHANGED
+        assert not summary.converged and summary.estimate is None
+        assert summary.apparent_stiffness is None
 
 
 # Whitened residuals

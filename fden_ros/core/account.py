@@ -56,9 +56,7 @@ class Account:
         self._contact_id, self._site = contact_id, site
         self._position, self._start_ns = onset.samples[0].position, onset.samples[0].stamp_ns
         self._common, self._config = common, config
-        self._labelling = Labelling(
-            common.labeller, site.site_id, self._start_ns, site.change_count
-        )
+        self._labelling = Labelling(common.labeller, site.site_id, self._start_ns)
         self._own_flags = Flag.NONE
         self._phase = PhaseMeter()
         frequencies, periods = config.dither_frequencies, config.dither_periods
@@ -66,7 +64,6 @@ class Account:
         self._max_strain = self._max_stress = 0.0  # [1, Pa]; the stress at the largest force
         self._deepest: float | None = None  # compression from the nominal origin [1]
         self._sample_count = 0
-        self._changes_before = site.change_count
         self._rejected_before = common.rejected.total()
         self._rejected_after: int | None = None
         self._at_limit_before = force_at_limit(common.rejected)
@@ -152,7 +149,7 @@ class Account:
             self._site.usable_estimate if learns else None,
             self._max_strain,
             block=self._common.sums.number,
-            change_count=self._site.change_count,
+            has_changed=Flag.TISSUE_CHANGED in self.flags,
             is_mismatch=bool(self.flags & Flag.MODEL_MISMATCH),
         )
         for answer in answers:
@@ -160,8 +157,6 @@ class Account:
 
     def _judge(self) -> None:
         """Flag what the site's estimator has found since the touch."""
-        if self._site.change_count > self._changes_before:
-            self._own_flags |= Flag.TISSUE_CHANGED
         # The newest judgement counts: an earlier one had seen less of the tissue.
         self._own_flags &= ~Flag.MODEL_MISMATCH
         if self._site.is_mismatch:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ _DIP_TIME = 0.5
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
+#: The tissue has changed where the innovations of so many blocks in a row add up to more than so
+#: many of the standard deviations of their sum [1].
+_GATE_BLOCKS, _GATE_DEVIATIONS = 4, 7.0
 
 
 class Learned(NamedTuple):
@@ -74,6 +78,7 @@ class Site(Standing):
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
+        self._surprises: deque[float] = deque(maxlen=_GATE_BLOCKS)
 
     @property
     def is_doubtful(self) -> bool:
@@ -92,11 +97,6 @@ class Site(Standing):
     def is_mismatch(self) -> bool:
         """Whether the data contradict the law."""
         return self._estimator is not None and self._estimator.is_mismatch
-
-    @property
-    def change_count(self) -> int:
-        """How often the tissue was found to have changed under the probe."""
-        return self._estimator.change_count if self._estimator is not None else 0
 
     @property
     def _known(self) -> KnownTissue | None:
@@ -129,7 +129,8 @@ class Site(Standing):
         is of what it has just dragged along.
         """
         has_slid = self.whereabouts.is_apart(self.whereabouts.left)
-        is_doubted = Flag.TOUCH_NOT_OBSERVED in self.flags or bool(has_slid)
+        has_past = self.flags & (Flag.TOUCH_NOT_OBSERVED | Flag.TISSUE_CHANGED)
+        is_doubted = bool(has_past) or bool(has_slid)
         return is_doubted and dips(stamp_ns - self._last_ns)
 
     def check_history(self, onset: Onset) -> None:
@@ -241,15 +242,30 @@ class Site(Standing):
             self._lift_off.see_mean(means.force)
             if not means.has_free:
                 block = _block(means, memory, self.start_ns, is_past=is_silent)
+                was_explained = not self._estimator.is_doubtful
                 innovation = self._estimator.update(block)
                 if innovation is not None:
                     _check_finite(innovation.innovation, innovation.variance)
+                    self._gate(innovation, was_explained=was_explained)
             else:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
                 # A contact that is told as it ends has silent blocks alone.
                 self.find(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
+
+    def _gate(self, innovation: Innovation, *, was_explained: bool) -> None:
+        """Withdraw where a few blocks in a row are none of the tissue that was touched.
+
+        `was_explained`: the blocks before were; an estimator that is still looking has large
+        innovations.
+        """
+        surprises = self._surprises
+        if not was_explained and not surprises:
+            return
+        surprises.append(innovation.innovation / math.sqrt(innovation.variance))
+        if abs(sum(surprises)) > _GATE_DEVIATIONS * math.sqrt(_GATE_BLOCKS):
+            self.withdraw(Flag.TISSUE_CHANGED)
 
     def fail(self) -> None:
         """Say nothing any more, after an exception."""

@@ -37,7 +37,8 @@ class Sites:
         """
         before, first = self.present, onset.samples[0]
         is_elsewhere = before.is_elsewhere(onset) if before is not None else True
-        if before is not None and is_elsewhere is False:
+        has_changed = before is not None and Flag.TISSUE_CHANGED in before.flags
+        if before is not None and is_elsewhere is False and not has_changed:
             return before
         if before is not None and is_elsewhere:
             before.put_away()

@@ -163,21 +163,16 @@ class Labeller:
 
 
 class Labelling:
-    """The label of one contact with a site.
-
-    The site's tissue has changed `change_count` times before.
-    """
+    """The label of one contact with a site."""
 
     def __init__(
         self,
         labeller: Labeller,
         site_id: int,
         start_ns: int,
-        change_count: int,
     ) -> None:
         self._labeller = labeller
-        self._site_id = site_id
-        self._start_ns, self._change_count = start_ns, change_count
+        self._site_id, self._start_ns = site_id, start_ns
         self._is_mismatch = False  # as was said last
         self._decider = Decider(labeller.decision)
         self._answer = Answer()
@@ -189,21 +184,19 @@ class Labelling:
         max_strain: float,
         *,
         block: int,
-        change_count: int,
+        has_changed: bool,
         is_mismatch: bool,
     ) -> Iterator[Answer]:
         """Take what is known after a block; give each answer that differs from the last.
 
-        `max_strain` so far [1]; `block` is its number; the tissue changed `change_count` times
+        `max_strain` so far [1]; `block` is its number; `has_changed`: the tissue has,
         under the probe; `is_mismatch`: the model does not describe the contact.
         """
-        if change_count != self._change_count:
+        if has_changed and self._answer.classes is not None:
             # The tissue that was named is no longer under the probe.
-            self._change_count = change_count
             self._decider = Decider(self._labeller.decision)
             self._answer = replace(self._answer, decided=None)
-            if self._answer.classes is not None:
-                yield self._say(None, is_mismatch)
+            yield self._say(None, is_mismatch)
         elif is_mismatch != self._is_mismatch:
             # The label stands, but no longer without a reservation.
             yield self._say(self._answer.classes, is_mismatch)

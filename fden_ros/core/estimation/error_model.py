@@ -100,9 +100,9 @@ class ErrorModel:
     geometry: Geometry
     uncertainty: Uncertainty
     noise: Noise
-    #: A record and a state to the record with its motion moved, the order of the relaxation, and
-    #: the sizes and times of changes: those of the press's model.
-    conditions: Callable[[Points, Array], tuple[Points, float, tuple[Array, Array]]]
+    #: A record and a state to the record with its motion moved, and the order of the relaxation:
+    #: those of the press's model.
+    conditions: Callable[[Points, Array], tuple[Points, float]]
 
     def errors(
         self, points: Points, state: Array, found: Evaluation, before: Loading | None = None
@@ -111,7 +111,7 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        points, order, changes = self.conditions(points, state)
+        points, order = self.conditions(points, state)
         drift = (self.geometry.stress_per_force * self.uncertainty.force_drift_sd) ** 2
         motion = (self.uncertainty.surface_motion_sd / self.geometry.length) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])
@@ -135,7 +135,7 @@ class ErrorModel:
         loops.errors(
             found.elastic, found.slope, found.stress, points.first, points.last, points.met,
             points.counts, points.durations, points.middles, points.steps, points.bends,
-            *changes, numbers, loading, rows,
+            numbers, loading, rows,
         )  # fmt: skip
         return Errors(rows, Loading(*loading.tolist()))
 

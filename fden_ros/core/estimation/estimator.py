@@ -54,11 +54,6 @@ class Estimator:
         return False
 
     @property
-    def change_count(self) -> int:
-        """Changes of the tissue under the probe that were found."""
-        return 0
-
-    @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         return 0.0

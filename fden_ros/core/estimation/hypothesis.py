@@ -16,11 +16,9 @@ from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, merged, weights_of
-from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
-from fden_ros.core.estimation.proposals.change import THRESHOLD
 from fden_ros.core.estimation.search import Care, Search, Solved
-from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN, Unknown
+from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.law import StressMoments, elastic_response
 
 #: A hypothesis that is less likely than this does not decide what is claimed [1].
@@ -37,7 +35,6 @@ class Past:
     shift: float = 0.0  #: by which its compressions are larger than those that are given [1]
     log_odds: float = 0.0  #: logarithm of its probability before the present press [1]
     deepest: float = 0.0  #: largest compression of earlier presses [1]
-    changes: int = 0  #: of the tissue, in earlier presses
     sample_count: int = 0
     mismatch_probability: float = math.nan  #: of another law; NaN: not known
     memory: StressMoments = field(default_factory=StressMoments)
@@ -53,8 +50,6 @@ class Hypothesis:
     ----------
     setting : PressSetting
         What is known before the first sample.
-    events : tuple of Unknown
-        Changes of the tissue under the probe, and jerks.
 
     Attributes
     ----------
@@ -68,10 +63,8 @@ class Hypothesis:
         Those of `tissue_now`, without what filters have learned since the newest solution.
     """
 
-    def __init__(
-        self, past: Past, setting: PressSetting, events: tuple[Unknown, ...] = ()
-    ) -> None:
-        self.past, self.setting, self.events = past, setting, events
+    def __init__(self, past: Past, setting: PressSetting) -> None:
+        self.past, self.setting = past, setting
         self.solved: Solved | None = None
         self.plateau_odds: float | None = None  #: as they were asked for last
         self.misses, self.log_weight = 0, -math.inf
@@ -87,11 +80,6 @@ class Hypothesis:
         return self.solved is not None and self.solved.best.is_solved and not self.misses
 
     @property
-    def change_count(self) -> int:
-        """Changes of the tissue under the probe."""
-        return sum(event.since is not None for event in self.events)
-
-    @property
     def share(self) -> float:
         """Its probability before the press, where its past is true [1]."""
         carried = self.setting.carried
@@ -100,7 +88,6 @@ class Hypothesis:
     def _log_prior(self, solved: Solved) -> float:
         """Return the logarithm of its probability before the record [1]."""
         log_prior = self.past.log_odds + math.log(self.share)
-        log_prior -= THRESHOLD * self.change_count
         if self.past.other is None:
             return log_prior
         mean, covariance = solved.solutions.moments
@@ -122,10 +109,6 @@ class Hypothesis:
             moved = replace(moved, path=(times, compressions + shift, speeds))
         return moved
 
-    def with_event(self, event: Unknown) -> Hypothesis:
-        """Return it with an event more."""
-        return Hypothesis(self.past, self.setting, (*self.events, event))
-
     def search(
         self, points: Points, elapsed: float, compression: float, compression_sd: float, care: Care
     ) -> Search:
@@ -133,7 +116,6 @@ class Hypothesis:
         deepest = self.deepest(compression)
         return Search(
             self.setting,
-            self.events,
             compression_sd,
             self.points(points),
             self.solved,
@@ -161,9 +143,7 @@ class Hypothesis:
         self._filters = [PressFilter(s, model, errors) for s, likely in pairs if likely]
         self._set_logs(logs[is_likely] + (log_evidence - found.total))
         self._logs_when_solved = self._logs
-        self.tissue_when_solved = tuple(
-            self._now(part) for part in found.components if part.weight
-        )
+        self.tissue_when_solved = tuple(part for part in found.components if part.weight)
 
     def shift_weight(self, logarithm: float) -> None:
         """Multiply its weight."""
@@ -266,7 +246,7 @@ class Hypothesis:
     @property
     def tissue_now(self) -> tuple[Component, ...]:
         """The components with ln G of the tissue that is under the probe now."""
-        return tuple(self._now(part) for part in self.components)
+        return self.components
 
     @property
     def modes_now(self) -> tuple[Component, ...]:
@@ -275,11 +255,7 @@ class Hypothesis:
         There is tissue between them, too, which each by itself would rule out: at the second of
         three presses with an arm's errors ln G was 2.4 deviations off.
         """
-        return tuple(self._now(part) for part in _with_ridges_merged(self._parts()))
-
-    def _now(self, component: Component) -> Component:
-        assert self.solved is not None
-        return after_changes(component, self.solved.model)
+        return tuple(_with_ridges_merged(self._parts()))
 
 
 def _with_ridges_merged(found: Sequence[tuple[PressFilter, list[Component]]]) -> list[Component]:
@@ -290,17 +266,3 @@ def _with_ridges_merged(found: Sequence[tuple[PressFilter, list[Component]]]) ->
         others.sort(key=lambda parts: sum(part.weight for part in parts))
         others.append([merged([*ridge, *(others.pop() if others else ())])])
     return [part for parts in others for part in parts]
-
-
-def after_changes(one: Component, model: PressModel) -> Component:
-    """Return a component of a model with ln G of the tissue that is under the probe now."""
-    places = [k for k, unknown in enumerate(model.unknowns) if unknown.since is not None]
-    if not places:
-        return one
-    # A change leaves a twentieth at least.
-    factor = max(1.0 + float(one.mean[places].sum()), 0.05)
-    jacobian = np.eye(one.mean.size)
-    jacobian[LOG_G, places] = 1.0 / factor
-    after = one.mean.copy()
-    after[LOG_G] += math.log(factor)
-    return Component(one.weight, after, jacobian @ one.covariance @ jacobian.T)

@@ -38,7 +38,7 @@ try:
 except ImportError as missing:
     raise ImportError(f"{_MEND} again") from missing
 # Of what the functions take; raised with every change of it.
-if _compiled.VERSION != 4:
+if _compiled.VERSION != 5:
     raise ImportError(f"{_MEND} again: its compiled part is of version {_compiled.VERSION}")
 
 

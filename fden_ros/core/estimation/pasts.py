@@ -18,8 +18,8 @@ from scipy.special import logsumexp
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
-from fden_ros.core.estimation.mixture import Component, collapsed, normalized
-from fden_ros.core.estimation.press_model import FreeSurface, PressModel
+from fden_ros.core.estimation.mixture import collapsed, normalized
+from fden_ros.core.estimation.press_model import FreeSurface
 from fden_ros.core.estimation.press_setting import Carried, PressSetting, is_sound
 from fden_ros.core.estimation.proposals.place import Tissue, log_odds_of_another
 from fden_ros.core.estimation.unknowns import Lifetime
@@ -90,7 +90,6 @@ class Pasts:
             )
             past.shift += shift
             past.log_odds -= total
-            past.changes = 0
             past.other = None
         self.all = [*same, own]
 
@@ -157,7 +156,6 @@ def _carry_over(
     _, likeliest = max(own, key=lambda pair: pair[0])
     past.log_odds = math.log(sum(weight for weight, _ in own))
     past.deepest = likeliest.deepest(deepest)
-    past.changes += likeliest.change_count
     past.other = None
     if likeliest.solved is None:
         return
@@ -165,7 +163,7 @@ def _carry_over(
     # A solution of a shorter record may lack the law's errors of this one.
     whole = normalized(
         [
-            _as_in(model, other, part._replace(weight=weight * part.weight))
+            part._replace(weight=weight * part.weight)
             for weight, other in own
             if other.solved is not None and other.solved.model.last_knot == model.last_knot
             for part in other.modes_now
@@ -178,25 +176,6 @@ def _carry_over(
     # take half as much work again.
     carried = Carried(model, collapsed(normalized(sound), most, 0.5, lasting))
     past.setting = replace(past.setting, carried=carried)
-
-
-def _as_in(model: PressModel, other: Hypothesis, component: Component) -> Component:
-    """Return a component of a hypothesis in the state of a model, whose events may be others.
-
-    Events that it has not are 0 in it.
-    """
-    assert other.solved is not None
-    own = other.solved.model
-    names = [unknown.name for unknown in own.unknowns]
-    pairs = [(k, names.index(u.name)) for k, u in enumerate(model.unknowns) if u.name in names]
-    fields = zip(
-        range(model.kernel.start, model.size), range(own.kernel.start, own.size), strict=True
-    )
-    places, sources = map(list, zip(*pairs, *fields, strict=True))
-    mean, covariance = np.zeros(model.size), np.zeros((model.size, model.size))
-    mean[places] = component.mean[sources]
-    covariance[np.ix_(places, places)] = component.covariance[np.ix_(sources, sources)]
-    return Component(component.weight, mean, covariance)
 
 
 def _touch_speed(way: Array | None) -> float:

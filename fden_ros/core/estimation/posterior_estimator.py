@@ -126,12 +126,6 @@ class PosteriorEstimator(Estimator):
         return self.press is not None and self.press.is_doubtful
 
     @property
-    def change_count(self) -> int:
-        """Changes of the tissue under the probe that were found."""
-        found = self._best.changes
-        return found + (self.press.best.change_count if self.press is not None else 0)
-
-    @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
         return self._solved.rig_misfit if self._solved is not None else 0.0

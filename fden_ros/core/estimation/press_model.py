@@ -3,9 +3,8 @@
 
 """The stress of a press as a function of its unknowns, with all derivatives.
 
-It is that of the elastic response in excess of the tissue's free surface: what earlier presses and
-changes under the probe have left. A change of the stiffness lowers the surface by what it adds to
-the elastic response.
+It is that of the elastic response in excess of the tissue's free surface, which earlier presses
+have left.
 """
 
 from __future__ import annotations
@@ -72,16 +71,6 @@ class TissueSurface:
         """Return it without what the last record has decided: that is found anew."""
         return self.__dict__ | {"_moments": None}
 
-    def changes(self, state: Array) -> tuple[Array, Array]:
-        """Return the sizes of the changes [1] and their times [s]."""
-        found = [
-            (value, u.since)
-            for value, u in zip(state, self.unknowns, strict=False)
-            if u.since is not None
-        ]
-        sizes, times = np.array(found, dtype=float).reshape(-1, 2).T
-        return np.ascontiguousarray(sizes), np.ascontiguousarray(times)
-
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
         points = self.motion.moved(points, state)
@@ -106,20 +95,7 @@ class TissueSurface:
 
         None: it is at 0.
         """
-        surface, lifted = None, None
-        if self.free is not None:
-            surface, lifted = self._creep(self.free, points, state)
-        ratio = self._change(points, state)
-        if ratio is None:
-            return surface, lifted
-        elastic, by_unknowns = self._elastic(points, state)
-        added = ratio * elastic
-        surface = -added if surface is None else surface - added
-        lifted = -ratio * by_unknowns if lifted is None else lifted - ratio * by_unknowns
-        for k, unknown in enumerate(self.unknowns):
-            if unknown.since is not None:
-                lifted[k] -= elastic * (points.times > unknown.since)
-        return surface, lifted
+        return self._creep(self.free, points, state) if self.free is not None else (None, None)
 
     def _creep(self, free: FreeSurface, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the creep of earlier presses at the points, and its derivatives, (size, points).
@@ -136,16 +112,6 @@ class TissueSurface:
         lifted[ORDER] = moments @ (creep_slopes(order) * bend)
         lifted[self.kernel] = -(own * weights[:, None]).T @ moments.T
         return moments @ weights, lifted
-
-    def _change(self, points: Points, state: Array) -> Array | None:
-        """Return the part of the elastic response that changes add; None: there are none."""
-        if all(unknown.since is None for unknown in self.unknowns):
-            return None
-        ratio = np.zeros(points.times.size)
-        for value, unknown in zip(state, self.unknowns, strict=False):
-            if unknown.since is not None:
-                ratio += value * (points.times > unknown.since)
-        return ratio
 
     def _elastic(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the elastic response at the points, and its derivatives, (size, points)."""
@@ -238,12 +204,10 @@ class PressModel:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
         return order_of(state)
 
-    def conditions(
-        self, points: Points, state: Array
-    ) -> tuple[Points, float, tuple[Array, Array]]:
+    def conditions(self, points: Points, state: Array) -> tuple[Points, float]:
         """Return what the errors of a record meet at a state: see :class:`ErrorModel`."""
         moved = self.motion.moved(points, state)
-        return moved, self.order(state), self.surface.changes(state)
+        return moved, self.order(state)
 
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""

@@ -3,11 +3,10 @@
 
 """The posterior of one press as it grows: one record, and the hypotheses that explain it.
 
-The order of events, for each block: the filters of all hypotheses take it; the look for a change
-or the solutions that are under way go on by the work of a block, and where these have ended the
-filters go on from there, by the blocks since. Where the record has grown enough all hypotheses are
-solved anew, of the same record, and weighed under the same errors; where a block is not explained,
-a change is looked for.
+The order of events, for each block: the filters of all hypotheses take it; the solutions that are
+under way go on by the work of a block, and where these have ended the filters go on from there, by
+the blocks since. Where the record has grown enough all hypotheses are solved anew, of the same
+record, and weighed under the same errors.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import NamedTuple
 from scipy.special import logsumexp
 
 from fden_ros.core.estimation.block import Block, Points, Sample
-from fden_ros.core.estimation.change_watch import ChangeWatch, Found, Placed, with_event
 from fden_ros.core.estimation.estimator import Innovation
 from fden_ros.core.estimation.filter import Update
 from fden_ros.core.estimation.hypothesis import LEAST_WEIGHT, Hypothesis
@@ -74,7 +72,6 @@ class PressPosterior:
     def __init__(self, hypotheses: Sequence[Hypothesis], intake: Intake) -> None:
         self.hypotheses, self.intake = list(hypotheses), intake
         self.weigh()
-        self._watch = ChangeWatch()
         self._is_surprised = False
         self.begun_at = self.solved_at = 0
         self._start = self._last = self._worked_at = intake.now
@@ -116,7 +113,7 @@ class PressPosterior:
     @property
     def is_working(self) -> bool:
         """Whether anything is under way."""
-        return self._begun is not None or self._watch.is_working
+        return self._begun is not None
 
     @property
     def is_solving(self) -> bool:
@@ -128,7 +125,7 @@ class PressPosterior:
         """Whether a solution was not found, or does not explain the newest block."""
         if self.solved is None:
             return False
-        is_asked = self._watch.is_asked or self._is_surprised or self.best.has_turned
+        is_asked = self._is_surprised or self.best.has_turned
         is_solved = all(one.is_solved for one in self.likely)
         is_linear = all(one.filter.is_linear for one in self.likely if one.filter is not None)
         is_open = self._schedule.is_delay_open(self.best)
@@ -157,17 +154,9 @@ class PressPosterior:
         if self._begun is not None:
             self._begun.since.extend(blocks)
         self._schedule.blocks += 1
-        # What surprises stays unexplained while it is asked whether the tissue has changed.
-        is_asked = self._is_surprised and self._watch.is_asked
-        self._is_surprised = is_asked or innovation.normalized_squared > NO_CHANCE**2
-        self._watch.add(blocks, now, innovation.normalized_squared)
-        if self._watch.is_asked:
-            self._look(now)
-        elif self._begun is None and not is_past and self._is_due(now):
-            if self._watch.is_placing_due(now):
-                self._watch.begin_placing(self.best, self.intake)
-            else:
-                self.begin_solution()
+        self._is_surprised = innovation.normalized_squared > NO_CHANCE**2
+        if self._begun is None and not is_past and self._is_due(now):
+            self.begin_solution()
         self.work(now - self._worked_at)
         self._worked_at = now
         return innovation
@@ -178,9 +167,7 @@ class PressPosterior:
         # where it ends: 750 points, some 1.5 ms, a block of 10 ms. At most that of 0.4 s. Work is
         # counted and not timed, so that what comes of a recording is what came of it live.
         work = min(0.75e5 * seconds, 3e4)
-        if self._watch.is_working:
-            self._take_event(self._watch.advance(work, is_over=self._schedule.is_over))
-        elif self._begun is not None and self._begun.found.advance(work):
+        if self._begun is not None and self._begun.found.advance(work):
             self.go_on()
 
     def _is_due(self, now: float) -> bool:
@@ -209,12 +196,10 @@ class PressPosterior:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._schedule.is_over, self._begun = True, None
         self.intake.see_ahead()
-        if not self._watch.is_working:
-            self.begin_solution()
+        self.begin_solution()
 
     def finish(self) -> None:
         """Do what is left of that now."""
-        self._take_event(self._watch.finish())
         self.go_on()
 
     def begin_solution(self, care: Care = Care.TRACKED) -> None:
@@ -269,39 +254,6 @@ class PressPosterior:
         self._last = float(points.times[-1])
         if None in _stepped([one for one in solved if one in self.hypotheses], points):
             self._schedule.ask()
-
-    # Changes of the tissue
-
-    def _look(self, now: float) -> None:
-        """Look for a change; a solution would absorb it, so that one waits for it to show."""
-        if not self._watch.is_look_due(now) or self._watch.begin_look(self.best, self.intake):
-            return
-        self._watch.give_up()
-        if self._begun is None:
-            self.begin_solution()
-
-    def _take_event(self, found: Found | Placed | None) -> None:
-        """Take what was found of a change."""
-        if isinstance(found, Placed):
-            for one in self.hypotheses:
-                events = one.events
-                one.events = tuple(found.after if e is found.before else e for e in events)
-            self.begin_solution()
-        elif found is not None and found.look.event is not None:
-            self._begun = None  # of tissue without the event
-            self._adopt(found)
-            self.begin_solution(Care.FROM_STARTS)
-        elif found is not None and self._begun is None:
-            self.begin_solution()
-
-    def _adopt(self, found: Found) -> None:
-        """Put hypotheses with an event beside those without."""
-        # At most six, so that a solution of all has a longest time.
-        self.hypotheses = with_event(self.hypotheses, found)[:6]
-        changed = self.hypotheses[0]
-        if changed.solved is not None:
-            self._catch_up([changed], found.end, found.since)
-        self.weigh()
 
 
 def _stepped(hypotheses: Sequence[Hypothesis], points: Points) -> list[Update | None]:

@@ -25,7 +25,6 @@ from fden_ros.core.estimation.unknowns import (
     LINEAR_DELAY,
     ORIGIN,
     Lifetime,
-    Unknown,
     unknowns_of,
 )
 from fden_ros.core.law import Geometry
@@ -158,7 +157,6 @@ class PressSetting:
 
     def posterior(
         self,
-        events: tuple[Unknown, ...],
         compression_sd: float,
         deepest: float,
         kind: type[PressModel] = PressModel,
@@ -167,8 +165,6 @@ class PressSetting:
 
         Parameters
         ----------
-        events : tuple of Unknown
-            Changes of the tissue under the probe, and jerks.
         compression_sd : float
             Standard deviation of a sample's compression [1].
         deepest : float
@@ -180,7 +176,6 @@ class PressSetting:
         unknowns = unknowns_of(
             config, self.geometry, self.origin_sd, self.drift_sd, self.touch_speed
         )
-        unknowns += events
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
             unknowns, self.geometry, is_bent=self.is_bent, last_knot=last_knot, free=self.free
@@ -199,12 +194,6 @@ class PressSetting:
             has_field_prior=has_fields and self.is_bent,
             order_sd=0.0 if config.learns_fractional_order else config.prior.fractional_order_sd,
         )
-
-    def posterior_with(
-        self, events: tuple[Unknown, ...], compression_sd: float, deepest: float, *more: Unknown
-    ) -> Posterior:
-        """Return the posterior with more events."""
-        return self.posterior((*events, *more), compression_sd, deepest)
 
     def _first_belief(self, model: PressModel) -> Belief:
         """Return the belief at the first press of a site: as stated."""

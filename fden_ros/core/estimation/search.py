@@ -10,8 +10,6 @@ import functools
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import EVALUATION_COST
@@ -29,7 +27,7 @@ from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.press_model import PressModel
 from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Lifetime, Unknown
+from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, Lifetime
 from fden_ros.core.estimation.whiteness import contradicts
 
 #: Evaluations of a record that a solution may cost [1]: one that converges takes up to 120.
@@ -77,11 +75,9 @@ class Solved:
         return self.solutions.best
 
     def grown(self, solution: Solution, posterior: Posterior) -> Array:
-        """Return the state of a solution for a posterior that may have more unknowns."""
+        """Return the state of a solution for a posterior that may have another last knot."""
         before, now = self.model, posterior.model
-        known = len(before.unknowns)
-        more = len(now.unknowns) - known
-        state = np.insert(solution.maximum.state, [known] * more, 0.0)
+        state = solution.maximum.state.copy()
         if before.last_knot != now.last_knot:
             state[now.characteristic] = 0.0
         return state
@@ -101,7 +97,6 @@ class Search:
     """What a solution is a function of."""
 
     setting: PressSetting
-    events: tuple[Unknown, ...]  #: changes of the tissue under the probe, and jerks
     compression_sd: float  #: of a sample [1]
     points: Points  #: the record
     before: Solved | None  #: the solution of a shorter record
@@ -116,7 +111,7 @@ class Search:
 
     def made(self, kind: type[PressModel]) -> Posterior:
         """Return the posterior with a model of some class."""
-        return self.setting.posterior(self.events, self.compression_sd, self.deepest, kind)
+        return self.setting.posterior(self.compression_sd, self.deepest, kind)
 
     def in_parts(self) -> Parts[Solved]:
         """Return the solution in parts; beyond a cost no maximum is sought on.

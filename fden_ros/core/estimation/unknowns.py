@@ -61,8 +61,6 @@ class Unknown:
     motion: Callable[[Points], Array] | None = None
     #: Points to the stress at their blocks by one standard deviation, (m,) [Pa].
     stress: Callable[[Points], Array] | None = None
-    #: It is a change of the stiffness at this time [s], relative to the first stiffness.
-    since: float | None = None
     #: It is a delay that shifts the motion by interpolation, about a touch at this speed [1/s].
     touch_speed: float | None = None
 
@@ -82,17 +80,6 @@ LOG_G, LOG_GN, ORDER, ORIGIN = range(4)
 def order_of(state: Array) -> float:
     """Return the order of a state, in the range for which the relaxation is known [1]."""
     return float(np.clip(state[ORDER], LOWEST_ORDER, HIGHEST_ORDER))
-
-
-def change_since(time: float) -> Unknown:
-    """Return a change of the tissue's stiffness at a time [s]: by a factor of 2, more or less."""
-    return Unknown(f"change_{time!r}", 0.0, 1.0, Lifetime.CONTACT, since=time)
-
-
-def jerk_at(time: float, size: float) -> Unknown:
-    """Return a stress [Pa] of one block alone, at a time [s], as a drive's jerk makes it."""
-    stress = partial(_jerk, time, size)
-    return Unknown(f"jerk_{time!r}", 0.0, 1.0, Lifetime.CONTACT, stress=stress)
 
 
 # Columns: the change by one standard deviation.
@@ -118,11 +105,6 @@ def _friction(stress: float, length: float, points: Points) -> Array:
 
 def _drift(slope: float, points: Points) -> Array:
     return slope * (points.middles - points.times[0])
-
-
-def _jerk(time: float, size: float, points: Points) -> Array:
-    is_there = np.abs(points.middles - time) <= 0.5 * points.durations
-    return np.where(is_there, size, 0.0)
 
 
 def unknowns_of(

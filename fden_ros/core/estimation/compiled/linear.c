@@ -59,22 +59,6 @@ void fden_errors(const ErrorsOf *in)
         }
         in->noise[b] = variance + corner + before;
         before = corner;
-        for (int c = 0; c < in->changes; c++) {
-            /* A block that the change cuts may have had it for all or none of its time, and so may
-             * the next, where the change was that much later. */
-            double since = in->change_times[c];
-            if (in->middles[b] - in->durations[b] > since
-                || since >= in->middles[b] + in->durations[b])
-                continue;
-            double cut = 0.0;
-            for (int e = 0; e < 2; e++) {
-                int64_t n = e ? k : i;
-                double step = pow(largest(in->steps[n], in->shortest), -in->order);
-                cut += 0.5 * fabs(in->elastic[n]) * in->factor * step;
-            }
-            cut *= in->change_sizes[c];
-            in->noise[b] += cut * cut;
-        }
     }
     double last = in->loading[1], age = in->loading[2], time = in->loading[0];
     for (int b = 0; b < in->blocks; b++) {

@@ -53,11 +53,10 @@ int fden_response(const Response *in);
 
 /* Of a press at one state. */
 typedef struct {
-    int points, blocks, changes;
+    int points, blocks;
     const double *elastic, *slope, *stress;
     const int64_t *first, *last, *met;
     const double *counts, *durations, *middles, *steps, *bends;
-    const double *change_sizes, *change_times;
     double stress_variance, compression_sd, order, factor, drift, motion, surface_factor;
     double corner, shortest, floor, youngest;
     double *loading;                                 /* time, elastic response, age */

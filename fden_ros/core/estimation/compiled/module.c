@@ -11,7 +11,7 @@
 #include "loops.h"
 
 /* Raised with every change of what a function takes: loops.py compares it. */
-#define VERSION 4
+#define VERSION 5
 
 #define MOST_ARGUMENTS 32
 
@@ -205,13 +205,13 @@ FUNCTION(respond)
 }
 
 /* (elastic, slope, stress, first, last, met, counts, durations, middles, steps, bends,
- * change_sizes, change_times, numbers, loading, found): `numbers` in the order of loops.h, `found`
- * rows of noise, gain, rough, drifts and motions */
+ * numbers, loading, found): `numbers` in the order of loops.h, `found` rows of noise, gain, rough,
+ * drifts and motions */
 FUNCTION(errors)
 {
     Call call = begin(arguments, count);
     ErrorsOf in;
-    Py_ssize_t points = 0, blocks = 0, changes = 0;
+    Py_ssize_t points = 0, blocks = 0;
     in.elastic = sized(&call, &points);
     in.slope = numbers(&call, points);
     in.stress = sized(&call, &blocks);
@@ -223,13 +223,11 @@ FUNCTION(errors)
     in.middles = numbers(&call, blocks);
     in.steps = numbers(&call, points);
     in.bends = numbers(&call, points);
-    in.change_sizes = sized(&call, &changes);
-    in.change_times = numbers(&call, changes);
     const double *given = numbers(&call, 11);
     in.loading = numbers(&call, 3);
     double *found = numbers(&call, 5 * blocks);
     if (is_ready(&call)) {
-        in.points = (int)points, in.blocks = (int)blocks, in.changes = (int)changes;
+        in.points = (int)points, in.blocks = (int)blocks;
         in.stress_variance = given[0], in.compression_sd = given[1], in.order = given[2];
         in.factor = given[3], in.drift = given[4], in.motion = given[5];
         in.surface_factor = given[6], in.corner = given[7], in.shortest = given[8];
