@@ -156,7 +156,7 @@ def _words(cell: Mapping[str, Share]) -> str:
 
 
 def run_trial(which: tuple[str, str], number: int, parameters: Mapping[str, Any]) -> float:
-    """Simulate press `number`, identify it, and return how late the change was reported [s]."""
+    """Simulate press `number`, identify it, and return when the change was reported [s]."""
     row, change = CASES[which[0]], _BY_NAME[which[1]]
     pressed = press(row.geometry, row.rate_hz, change, number)
     told: list[bool] = []

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pipeline_helpers import LIVER, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts
+from property_helpers import counts, first
 from scipy.signal import lfilter
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, PosteriorEstimator

@@ -147,7 +147,7 @@ def other_value(parameter):
     if isinstance(default, bool):
         return not default
     if isinstance(default, str):
-        return parameter.choices[-1] if parameter.choices else "other"
+        return next((one for one in parameter.choices if one != default), "other")
     if isinstance(default, list):
         return [1.0, 2.0, 3.0]
     return parameter.minimum if default != parameter.minimum else parameter.maximum
@@ -516,6 +516,7 @@ EFFECTS: dict[str, Effect] = {
     "origin.displacement": ("plain", {"origin.source": "given"}, -0.002, deeper_by_a_tenth),
     "site.distance": ("apart", {}, 0.02, one_site),
     "site.timeout": ("again", {}, 60.0, one_site),
+    "site.without_position": ("again", {}, "same", one_site),
     "alpha.learn": ("plain", {}, False, ends_with_alpha(0.131)),
     "estimator.kind": ("plain", {}, "ekf", lambda a, b: max(b.sds[:2]) < 0.5 * max(a.sds[:2])),
     "prior.linear_stiffness": (

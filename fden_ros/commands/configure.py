@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--one-place",
         action="store_true",
-        help="all presses are of one place: without positions the file says so (site.timeout)",
+        help="all presses are of one place: site.without_position is same in the file",
     )
     parser.add_argument(
         "--frames",

@@ -110,10 +110,12 @@ class Site(Standing):
 
     def is_elsewhere(self, onset: Onset) -> bool | None:
         """Whether a touch is at another site; None: no positions, and after the timeout."""
-        first = onset.samples[0]
+        first, contact = onset.samples[0], self._config.contact
         if (is_apart := self.whereabouts.is_apart(first.position)) is not None:
             return is_apart
-        is_late = self._seconds_to(first.stamp_ns) > self._config.contact.site_timeout
+        if contact.without_position != "either":
+            return contact.without_position == "other"
+        is_late = self._seconds_to(first.stamp_ns) > contact.site_timeout
         return None if is_late else False
 
     def put_away(self) -> None:

@@ -78,11 +78,17 @@ class ContactConfig:
     site_timeout: float = parameter(
         "site.timeout",
         2.0,
-        "Without positions, a touch after a longer time in the air is a new site. It is also "
-        "followed as the place of the last one, until the data decide.",
+        "Without positions, a touch after a longer time in the air may be of another place.",
         "s",
         0.0,
         100000.0,
+    )
+    without_position: str = parameter(
+        "site.without_position",
+        "either",
+        "Whose a touch without a position is: the same place, another, or either: then the data "
+        "decide after site.timeout.",
+        choices=("same", "other", "either"),
     )
     series_compliance: float = parameter(
         "displacement.compliance",
