@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import LIVER_PARAMETERS, feed, items_of, parameters_of, summaries_of
 from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
 
@@ -31,21 +30,7 @@ from fden_ros.core.classification.relative import (
 )
 from fden_ros.core.estimation import Prior
 from fden_ros.core.law import LogStiffness
-from fden_ros.core.outputs import Classification, Decision, Output, Status, TissueState
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import load_library
-from simulation.scenario import (
-    DisplacementSensor,
-    ForceSensor,
-    Geometry,
-    RampHold,
-    Scenario,
-    Site,
-)
-from simulation.scenario import Tissue as SimulatedTissue
-from simulation.simulate import simulate
-from simulation.trajectory import Approach
 
 # Which tissue it is, with probabilities that mean what they say
 
@@ -196,60 +181,6 @@ def test_label_of_a_sequence_of_answers(name):
     answers, expected = SEQUENCES[name]
     for found, label in zip(labels(*answers), expected, strict=True):
         assert label is None or found == label
-
-
-# The label in a whole contact: early enough, never too early, and gone with its tissue
-
-
-HOLD = RampHold(strain_rate=0.4, max_strain=0.25, hold_s=1.5)
-
-
-def pressed(library, press, g=520.0, order=0.131, noise=3.0, repeat=1, **others):
-    scenario = Scenario(
-        name="one",
-        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
-        approach=Approach(distance_m=0.002, slow_distance_m=0.001, start_pause_s=1.0),
-        sites=(Site(SimulatedTissue(g, 8.4, order), (press,) * repeat),),
-        force=ForceSensor(rate_hz=200.0, noise_stress_pa=noise),
-        displacement=DisplacementSensor(rate_hz=200.0),
-    )
-    recording = simulate(scenario, 1)
-    parameters = (
-        parameters_of(recording)
-        | LIVER_PARAMETERS
-        | {
-            "alpha.learn": True,
-            "prior.alpha": 0.2,
-            "prior.alpha_sd": 0.1,
-            "prior.linear_stiffness_log_sd": 1.0,
-        }
-    )
-    parameters |= {name.replace("__", "."): value for name, value in others.items()}
-    config = replace(pipeline_config(check(parameters)), library=library)
-    outputs: list[Output] = []
-    pipeline = Pipeline(config, outputs.append)
-    feed(pipeline, items_of(recording))
-    pipeline.finish()
-    return outputs
-
-
-def answers(outputs):
-    return [output for output in outputs if isinstance(output, Classification)]
-
-
-def test_no_label_before_the_estimate_has_converged():
-    outputs = pressed(LIBRARY, HOLD)
-    first = next(a for a in answers(outputs) if a.decision is not Decision.UNDETERMINED)
-    converged = next(
-        o for o in outputs if isinstance(o, TissueState) and o.status is Status.CONVERGED
-    )
-    assert first.stamp_ns >= converged.stamp_ns
-    assert (first.decision, first.classes.label) == (Decision.CLASS, "liver")
-    # What it took: beyond the boundary strain, and before the end of the ramp.
-    assert math.exp(-LIVER.mean[1]) < first.decided.strain <= 0.26
-    assert 0.1 < first.decided.time < 1.0
-    (summary,) = summaries_of(outputs)
-    assert summary.decided == first.decided
 
 
 # A place against its surroundings

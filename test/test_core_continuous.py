@@ -26,7 +26,7 @@ from fden_ros.core import (
     Status,
     TissueState,
 )
-from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, ParameterSet, Prior
+from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior
 from fden_ros.core.oscillation import Stiffness
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
 from fden_ros.core.oscillation.palpation import palpated as told_by
@@ -164,18 +164,6 @@ def test_deviations_hold_along_the_path(condition, seeds):
     assert np.all(rms > low) and np.all(rms < high), rms
 
 
-def test_neither_g_nor_gn_is_claimed_of_another_law_and_nothing_is_converged():
-    _, outputs = identify(palpated(1), **{"geometry.area": 1e-4, "geometry.thickness": 0.02})
-    states = of(TissueState, outputs)
-    assert {state.status for state in states} == {Status.CONVERGING}
-    assert all(Flag.TOUCH_NOT_OBSERVED in state.flags for state in states)
-    estimates = [state.estimate for state in states if state.estimate is not None]
-    assert len(estimates) > 0.7 * len(states)
-    assert all(not one.observable & ParameterSet.STIFFNESS for one in estimates)
-    assert all(one.known | ParameterSet.FRACTIONAL_ORDER == 4 for one in estimates)
-    assert not any(one.converged for one in of(ContactSummary, outputs))
-
-
 def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_variances():
     value, sd = 400.0 * np.exp(0.5j * math.pi * 0.3), 20.0
     prior = replace(Prior(), fractional_order=0.1, fractional_order_sd=0.05)
@@ -221,16 +209,6 @@ def test_what_gives_no_answer_has_no_stiffness(profile):
         assert any("no oscillation" in words for words in pipeline.warnings)
 
 
-def test_a_stiffness_is_not_current_when_the_palpation_is_over():
-    record = palpated(4, duration=20.0)
-    still = palpated(4, amplitude=0.0, duration=20.0)
-    pipeline, outputs = begun({"contact.mode": "continuous"})
-    feed(pipeline, record)
-    assert outputs[-1].apparent_stiffness is not None
-    feed(pipeline, still, shift=20.0)
-    assert outputs[-1].apparent_stiffness is None
-
-
 @pytest.mark.parametrize("delay", [-0.06, 0.06])
 @pytest.mark.parametrize("seed", first(6, 7, 8))
 def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay, seed):
@@ -252,18 +230,6 @@ def test_a_force_ahead_by_more_than_a_right_angle_is_told():
     degrees = float(words.split(" degrees")[0].split()[-1])
     truth = math.degrees(0.2 * record.angular_frequency) + 90.0 * record.order
     assert degrees == pytest.approx(truth, abs=3.0)
-
-
-def test_a_delay_that_is_stated_as_not_known_widens_and_is_not_flagged():
-    record = palpated(6, delay=0.06)
-    _, outputs = identify(record, **{"displacement.delay_sd": 0.1})
-    places = known_places(outputs)
-    assert len(places) > 15
-    for place in places:
-        stiffness = place.apparent_stiffness
-        truth = record.apparent(place.position[0])
-        off = math.log(stiffness.value / truth) * stiffness.value / stiffness.sd
-        assert abs(off) < 2.5 and not place.estimate.observable
 
 
 def test_a_long_gap_ends_the_place_and_forgets_it():

@@ -141,12 +141,6 @@ def test_slope_is_that_in_the_middle_of_a_window_where_the_end_is_not_known():
     assert abs(found.value - SPRING) < 4.0 * found.sd < 4.0 * 0.25 * SPRING
 
 
-def test_slow_samples_are_enough():
-    places = way((0.005, 30.0), rate=10.0)
-    found = last(places, SPRING * places, rate=10.0).loading
-    assert found.value == pytest.approx(SPRING, rel=1e-9)
-
-
 def test_unloading_is_apart_from_loading():
     places = press()
     is_before = np.arange(places.size) <= int(np.argmax(places))
@@ -206,16 +200,6 @@ def test_steps_of_an_encoder_are_no_turns():
     forces = SPRING * places + 0.002 * draw.standard_normal(places.size)
     for found in last(np.round(places / 5e-5) * 5e-5, forces):
         assert abs(found.value - SPRING) < 3.0 * found.sd < 0.3 * SPRING
-
-
-def test_long_run_takes_no_more_memory():
-    measured, counted = MeasuredSlopes(pipeline_config(check({}))), []
-    for count in range(20_000):
-        place = count * 1e-5
-        measured.add(Pair(0, START_NS + count * 2_000_000, SPRING * place, place, None))
-        if count in (5_000, 19_999):
-            counted.append(measured._run.columns().shape[1])
-    assert counted[1] <= counted[0] + 30 < 200
 
 
 @functools.cache

@@ -175,38 +175,6 @@ def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
     assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 81
 
 
-@pytest.mark.parametrize("name", [FORCE, DISPLACEMENT])
-def test_one_stream_alone_does_not_fill_the_memory(name):
-    run = Run(max_wait=1.0)
-    for ms in range(10_000):
-        run.add(name, START + ms * MS)
-    assert run.waiting <= 1001
-    assert run.rejected["force.unpaired"] == (8999 if name == FORCE else 0)
-
-
-def test_force_in_coarse_steps_is_never_stuck():
-    # Ten whole seconds on one step, after changes enough to know its run.
-    rng = np.random.default_rng(3)
-    ramp = np.concatenate([np.linspace(0.0, 2.0, 2000), np.full(10_000, 2.0), np.zeros(100)])
-    force = 0.01 * np.round((ramp + 0.001 * rng.standard_normal(ramp.size)) / 0.01)
-    run = Run()
-    for n, value in enumerate(force):
-        run.both(START + n * MS, float(value))
-    assert not run.rejected
-    run = Run()
-    for n, value in enumerate(ramp + 0.01 * rng.standard_normal(ramp.size) * (ramp < 2.0)):
-        run.both(START + n * MS, float(value))
-    assert run.rejected["force.stuck"] > 9_000
-
-
-def test_the_noise_of_a_motion_is_that_of_its_samples():
-    noise = 1e-5 * np.random.default_rng(2).standard_normal(1000)
-    run = Run()
-    for n, value in enumerate(noise.tolist()):
-        run.both(START + 5 * n * MS, displacement=1e-4 * n + value)
-    assert run.synchronizer.path_noise() / (1e-10 * 5e-3) == pytest.approx(1.0, rel=0.35)
-
-
 def log_spaced(first_ms, last_ms, per_decade):
     count = round(per_decade * np.log10(last_ms / first_ms)) + 1
     return np.geomspace(first_ms, last_ms, count)

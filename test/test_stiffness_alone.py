@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_helpers import fden
-from pipeline_helpers import begun, of_columns, summaries_of
+from pipeline_helpers import begun
 
 from benchmark.trial import fed
 from fden_ros.core.strokes import REMEDY
-from fden_ros.parameters import read_parameter_file
 from fden_ros.ros.status import PipelineProblems
 
 SPRING = 1000.0  # [N/m]
@@ -81,15 +80,6 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     assert row.split()[2].startswith(("(", "–"))
 
 
-def test_a_spring_pressed_deep_has_its_stiffness_by_the_law_too(config: Path) -> None:
-    outputs = of_columns(read_parameter_file(config).as_dict(), *pressed(4.0, count=2))[1]
-    found = [one.apparent_stiffness for one in summaries_of(outputs)]
-    assert len(found) == 2
-    for one in found:
-        assert one is not None and one.sd < 0.1 * SPRING
-        assert abs(one.value - SPRING) < 4.0 * one.sd
-
-
 def test_what_may_be_the_air_of_a_force_of_the_wrong_sign_is_no_result(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
 ) -> None:
@@ -142,13 +132,3 @@ def test_configure_suggests_the_mode_for_a_probe_that_never_lifts(
     table = written(tmp_path / "strokes.csv", palpated(lowest))
     assert fden("configure", table) == 0
     assert (REMEDY in capsys.readouterr().out) is is_told
-
-
-def test_presses_that_outnumber_the_strokes_keep_their_table() -> None:
-    # Eight strokes that do not lift, then sixteen that do.
-    first, second = palpated(1e-3), palpated(-1e-3)
-    count = [round(periods / 1.5 * RATE) for periods in (8, 16)]
-    force, depth = (np.concatenate([first[k][: count[0]], second[k][: count[1]]]) for k in (1, 2))
-    pipeline, _ = of_columns(GEOMETRY, np.arange(force.size) / RATE, force, depth)
-    assert any(REMEDY in words for words in pipeline.warnings)
-    assert not pipeline.never_lifts
