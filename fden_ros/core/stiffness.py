@@ -36,9 +36,9 @@ _LEAST_PIECES, _LEAST_PART, _LEAST_OF_LAST, _WIDER = 8, 0.1, 0.25, 1.4
 #: Standard error over the slope from which on a window is wide enough, and up to which it is
 #: known; the window's change of force is at least 3 deviations of the noise.
 _FINE, _KNOWN, _LEAST_RISE = 0.02, 0.25, 3.0
-#: Loading ends where the probe slows down to a third of the speed at which the force rose, a run
+#: Loading ends where the probe slows down to half of the speed at which the force rose, a run
 #: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
-_SLOW, _REST, _DUE = 1.0 / 3.0, 8.0, 0.125
+_SLOW, _REST, _DUE = 0.5, 8.0, 0.125
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
 #: Largest correlation of neighbouring residuals, and largest deviation of ln N/m by the law.
