@@ -79,7 +79,7 @@ def test_a_micro_indenter_s_table_in_nanonewtons_and_nanometres_works_end_to_end
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.count("contact 1: ") == 1 and "warning" not in shown
     # At the deepest point the slope is 1.5 F/d = 3.27e-3 N/m.
-    found = re.findall(r" (\S+) ± (\S+) \S+ G known", shown)
+    found = re.findall(r" (\S+) ± (\S+) \S+(?: at \S+)? G known", shown)
     values, deviations = np.array(found, dtype=float).T
     assert values.size == 2 and np.all(deviations < 0.07 * values)
     assert np.all(np.abs(values - 3.27e-3) < 2.0 * deviations)
