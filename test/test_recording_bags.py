@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import geometry_msgs.msg
-import numpy as np
 import pytest
 import sensor_msgs.msg
 import yaml
@@ -27,10 +25,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from fden_ros.cli import main
-from fden_ros.commands.parameters import parameter_file
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import check
 from fden_ros.recording.message_types import known_types, serialize, type_hash
 from fden_ros.recording.qos import RELIABLE, SENSOR_DATA
 from fden_ros.recording.reader import BagReader, decode
@@ -38,9 +35,6 @@ from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.recording.truth import read_truth
 from fden_ros.recording.writer import BagWriter
-from fden_ros.tissues.library import load_library
-from simulation.bag import write_recording
-from simulation.simulate import Recording, Stream
 
 START = 1_700_000_000_000_000_000
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -119,15 +113,6 @@ def test_a_bag_reads_back_as_written(tmp_path):
     with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints"):
         bag.messages(["/torque"])
     assert data_of(tmp_path / "bag" / "bag.mcap") == data_of(tmp_path / "bag")
-
-
-# Metadata and definitions
-
-
-def test_definitions_and_hashes_are_those_of_the_distribution():
-    known = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-    assert type_hash("std_msgs/msg/String") == known
-    assert type_hash("nowhere_msgs/msg/Nothing") == ""
 
 
 # Complete or nothing
@@ -233,48 +218,6 @@ def test_what_follows_damage_is_lost_and_said(tmp_path):
     assert "the rest of it is lost (crc validation failed" in bag.warnings[0]
 
 
-def stream(topic: str, message: str, count: int = 20, **options: Any) -> Stream:
-    stamp_ns = START + 1_000_000 * np.arange(count, dtype=np.int64)
-    value = np.linspace(0.1, 0.9, count)
-    base = Stream(stamp_ns, value, None, topic, message, (0.0, 0.0, 1.0), "probe")
-    return replace(base, **options)
-
-
-def recording(
-    force: str = "wrench", displacement: str = "joint_state", **options: Any
-) -> Recording:
-    truth = {
-        "scenario": "test",
-        "identifier_parameters": {"geometry.kind": "flat_punch", "prior.alpha": 0.131},
-    }
-    return Recording(
-        stream("/force", force), stream("/displacement", displacement, **options), truth
-    )
-
-
-def messages(bag: BagReader, topic: str) -> list[Any]:
-    return [decode(message) for message in bag.messages([topic])]
-
-
-@pytest.mark.parametrize(
-    ("kind", "path"),
-    [
-        ("pose", "pose.position"),
-        ("transform", "transform.translation"),
-        ("point", "point"),
-    ],
-)
-def test_positions_read_back_exactly(tmp_path, kind, path):
-    position = np.random.default_rng(1).normal(size=(20, 3))
-    bag = write_recording(recording(displacement=kind, position=position), tmp_path / "bag")
-    read = []
-    for message in messages(bag, "/displacement"):
-        for name in path.split("."):
-            message = getattr(message, name)
-        read.append([message.x, message.y, message.z])
-    assert read == position.tolist()
-
-
 def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
     folder = tmp_path / "ramp"
     assert main(["bag", "ramp", "-o", str(folder), "--seed", "3"]) == 0
@@ -324,22 +267,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Rea
             writer.write("/force", force, k)
             writer.write("/joints", joints, k)
     (folder / "table.csv").write_bytes(TABLE)
-    (folder / "probe.yaml").write_text(parameter_file(), encoding="utf-8")
-    library = (ROOT / "fden_ros" / "tissues" / "tissues.yaml").read_bytes()
-    (folder / "library.yaml").write_bytes(library)
     return {
         "mcap": (bag / "bag.mcap", lambda path: replay(path.parent, check({}))),
         "metadata": (bag / "metadata.yaml", lambda path: replay(path.parent, check({}))),
         "table": (folder / "table.csv", read_table),
-        "parameters": (
-            folder / "probe.yaml",
-            lambda path: pipeline_config(read_parameter_file(path)),
-        ),
-        "library": (folder / "library.yaml", load_library),
     }
 
 
-@pytest.mark.parametrize("kind", ["mcap", "metadata", "table", "parameters", "library"])
+@pytest.mark.parametrize("kind", ["mcap", "metadata", "table"])
 @examples(60)
 @given(edits=damages)
 def test_a_damaged_file_is_read_or_refused_in_one_line(kind, files, edits):

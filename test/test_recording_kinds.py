@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-import gzip
 import itertools
 import json
 import math
@@ -21,7 +20,6 @@ from recording_kinds import (
     BAGS,
     NEWTONS,
     NO_METADATA,
-    ROS1,
     ROWS,
     STAMPS,
     START,
@@ -30,8 +28,6 @@ from recording_kinds import (
     bag_of,
     small,
 )
-from rosbags.convert.converter import default_message
-from rosbags.rosbag1 import Writer as Ros1Writer
 from std_msgs.msg import Float64MultiArray
 
 from fden_ros.cli import main
@@ -40,7 +36,6 @@ from fden_ros.errors import InputError
 from fden_ros.nodes.player import problem_of
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import check, read_parameter_file
-from fden_ros.recording.fields import decoder_of
 from fden_ros.recording.message_types import serialize
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
@@ -125,24 +120,6 @@ def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
         results.append(result_object(replay(bag, parameters)))
     assert results[0] == results[1] == results[2]
     assert results[0]["contacts"][0]["converged"]
-
-
-def test_types_of_ros_1_that_are_others_today_are_read_by_field_but_not_played(tmp_path):
-    path = tmp_path / "old.bag"
-    with Ros1Writer(path) as writer:
-        for topic, kind in (("/info", "sensor_msgs/msg/CameraInfo"), ("/n", "std_msgs/msg/Int32")):
-            connection = writer.add_connection(topic, kind, typestore=ROS1)
-            numbers = {"data": 7} if kind.endswith("Int32") else {}
-            message = default_message(ROS1, kind)
-            for name, value in numbers.items():
-                object.__setattr__(message, name, value)
-            writer.write(connection, START, ROS1.serialize_ros1(message, kind))
-    bag = BagReader(path)
-    info, number = bag.topics
-    first, second = bag.messages()
-    assert list(decoder_of(info)(first.data).D) == []
-    assert decoder_of(number)(second.data).data == 7
-    assert "/info is not played" in problem_of(info) and not problem_of(number)
 
 
 @pytest.mark.parametrize("kind", ["sqlite3 file", "ROS 1", "ROS 1 in lz4"])
@@ -292,13 +269,9 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
     for number, kind in enumerate(("sqlite3", "ROS 1", "MCAP by message", "sqlite3 of Foxy")):
         (archive / str(number)).mkdir(parents=True)
         bag_of(kind, archive / str(number), messages)
-    (archive / "notes").mkdir()
-    (archive / "notes" / "readme.txt").write_text("what was done on that day\nand why\n")
     rows = "".join(f"{0.01 * k + 1},{0.1 * k},{0.2 * k}\n" for k in range(100))
+    (archive / "notes.txt").write_text("what was done on that day\nand why\n")
     (archive / "press.csv").write_text("time_s,force_N,depth_mm\n" + rows)
-    (archive / "packed.csv.gz").write_bytes(
-        gzip.compress(("time_s,force_N,depth_mm\n" + rows).encode())
-    )
     (archive / "press.txt").write_text("time_s force_N depth_mm\n" + rows.replace(",", " "))
     (tmp_path / "empty").mkdir()
     output = archive / "results.csv"
@@ -310,7 +283,7 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
         chosen = {Path(row["bag"]).name: row["inputs"] for row in rows}
         assert chosen["old.bag"] == "force from /force, displacement from /joints"
         assert found.keys() == {
-            *("bag", "old.bag", "old.db3", "press.csv", "packed.csv.gz", "press.txt"),
+            *("bag", "old.bag", "old.db3", "press.csv", "press.txt"),
             *("empty", "nowhere"),
         }
         errors = {name: error for name, error in found.items() if error}

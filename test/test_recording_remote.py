@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import csv
 import functools
 import gzip
-import json
 import shutil
 import subprocess
 import sys
@@ -101,37 +99,12 @@ def web(folder: Path) -> Iterator[str]:
         server.shutdown()
 
 
-@pytest.fixture(scope="module")
-def sftp(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    asyncssh = pytest.importorskip("asyncssh", reason="the extra is not installed")
-
-    class Anyone(asyncssh.SSHServer):
-        def begin_auth(self, username: str) -> bool:
-            return False
-
-    loop = asyncio.new_event_loop()
-    threading.Thread(target=loop.run_forever, daemon=True).start()
-
-    async def serve() -> Any:
-        key = asyncssh.generate_private_key("ssh-ed25519")
-        files = functools.partial(asyncssh.SFTPServer, chroot=str(folder))
-        return await asyncssh.listen(
-            "127.0.0.1", 0, server_factory=Anyone, server_host_keys=[key], sftp_factory=files
-        )
-
-    server = asyncio.run_coroutine_threadsafe(serve(), loop).result(30)
-    yield f"sftp://someone@127.0.0.1:{server.get_port()}"
-    loop.call_soon_threadsafe(server.close)
-
-
-@pytest.fixture(params=["s3", "ranges", "web", "sftp"])
+@pytest.fixture(params=["s3", "web"])
 def root(request: pytest.FixtureRequest) -> str:
     """URL of the folder, without a slash."""
     if request.param == "s3":
         request.getfixturevalue("s3")
         return "s3://lab/day"
-    if request.param == "ranges":
-        return request.getfixturevalue("s3")[0] + "/lab/day"
     return request.getfixturevalue(request.param)
 
 
@@ -151,17 +124,8 @@ def test_a_recording_at_a_url_holds_what_its_file_holds(root, name, folder):
     assert here and held(f"{root}/{name}") == here
 
 
-def test_a_replay_from_a_url_gives_what_that_of_a_file_gives(s3, folder, capsys):
-    shown = []
-    for place in (folder / "press", "s3://lab/day/press"):
-        assert main(["replay", str(place), "--config", str(CONFIG), "--json"]) == 0
-        shown.append(json.loads(capsys.readouterr().out))
-    assert len(shown[0]["contacts"]) == 2 and shown[0] == shown[1]
-
-
-@pytest.mark.parametrize("server", ["web", "sftp"])
-def test_an_archive_at_a_url_is_identified(server, request, tmp_path):
-    root = request.getfixturevalue(server)
+def test_an_archive_at_a_url_is_identified(web, tmp_path):
+    root = web
     names, table = ("press/", "nothing.mcap", "nothing.csv"), tmp_path / "results.csv"
     command = [
         "batch",
@@ -182,8 +146,8 @@ def test_an_archive_at_a_url_is_identified(server, request, tmp_path):
     assert [error for _, error in contacts] == ["", ""]
 
 
-def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3, sftp):
-    for root in ("s3://lab/day", sftp):
+def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3):
+    for root in ("s3://lab/day",):
         found = [str(bag).removeprefix(root) for bag in find_bags([root])]
         assert found == ["/old/old.db3", "/packed.csv.gz", "/press", "/table.csv"]
         (bag,) = find_bags([f"{root}/pr*/*.mcap"])

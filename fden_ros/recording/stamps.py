@@ -23,8 +23,6 @@ _REMEDY = (
     "receive"
 )
 
-_NS = 1_000_000_000
-
 
 def carried_stamp(sample: Any) -> Any:
     """Return the stamp of a decoded message: that of its header or its own; None without."""
@@ -70,7 +68,3 @@ def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
                 f"of {first} {least:.6g} s: of two clocks? Then {_REMEDY}"
             )
     return lines
-
-
-def _format(data: bytes) -> str:
-    return "<iI" if data[1] & 1 else ">iI"
