@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import fnmatch
 import heapq
-import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -170,7 +169,7 @@ class BagReader:
         if present:
             return present
         for pattern in _RECORDINGS:
-            if found := _glob(self.path, pattern):
+            if found := sorted(one for one in self.path.glob(pattern) if one.is_file()):
                 return found
         raise InputError(f"{self.path} holds no bag: expected an .mcap, .db3 or .bag file in it")
 
@@ -281,14 +280,3 @@ def is_bag_file(path: Path) -> bool:
     """Return whether a file is one of a bag by its name."""
     is_file = is_remote(path) or path.is_file()
     return is_file and any(fnmatch.fnmatch(path.name, pattern) for pattern in _RECORDINGS)
-
-
-def _glob(folder: Path, pattern: str) -> list[Path]:
-    found = (path for path in folder.glob(pattern) if path.is_file())
-    return sorted(found, key=_natural_order)
-
-
-def _natural_order(path: Path) -> list[tuple[int, str]]:
-    """Order ``x_2`` before ``x_10``."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (0, part) for part in parts]

@@ -266,10 +266,8 @@ class BagSource:
     def _handler(self, stream: str, topic: Topic) -> Callable[[RawMessage], None]:
         field, inputs = self._fields[stream], self._inputs
         assert inputs is not None
-        if field is not None:
-            path = FieldPath(field)
-            return _FieldHandler(stream, topic, path, inputs, self.note, self._is_stamped)
         decode = decoder_of(topic)
+        take = self._field_taker(stream, topic, FieldPath(field), inputs) if field else None
 
         def handle(message: RawMessage) -> None:
             try:
@@ -277,74 +275,58 @@ class BagSource:
             except Exception:  # damaged bytes raise errors of every kind
                 inputs.reject(stream_of(stream), DAMAGED)
                 return
-            inputs.add(stream, sample, None if self._is_stamped else message.log_time_ns)
+            if take is not None:
+                take(sample, message.log_time_ns)
+            else:
+                inputs.add(stream, sample, None if self._is_stamped else message.log_time_ns)
 
         return handle
+
+    def _field_taker(
+        self, stream: str, topic: Topic, path: FieldPath, inputs: Inputs
+    ) -> Callable[[Any, int], None]:
+        """Return what takes one field out of every decoded message of a topic."""
+        has_value = False
+
+        def value_of(sample: Any) -> NumberOrVector | None:
+            nonlocal has_value
+            try:
+                found = path.of(sample)
+            except IndexError:
+                return None
+            except InputError as error:
+                raise InputError(f"{topic.name}: {error}") from None
+            value = as_number_or_vector(found)
+            if value is None and not has_value:
+                raise InputError(
+                    f"{topic.name}: {path.text} is neither a number nor a vector: choose another "
+                    f"field with --{stream}-field"
+                )
+            has_value = True
+            return value
+
+        def take(sample: Any, log_time_ns: int) -> None:
+            value = value_of(sample)
+            carried = carried_stamp(sample) if self._is_stamped else None
+            if carried is None and self._is_stamped:
+                self.note(
+                    f"{topic.name} carries no stamps: the times of recording are used, which "
+                    "jitter"
+                )
+            stamp = log_time_ns if carried is None else stamp_ns(carried)
+            frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
+            if stream == "force":
+                inputs.add_force(frame, stamp, value)
+            else:
+                turn = path.orientation_beside(sample)
+                inputs.add_displacement(frame, stamp, value, turn)
+
+        return take
 
     def note(self, text: str) -> None:
         """Add a warning, once."""
         if text not in self._notes:
             self._notes.append(text)
-
-
-class _FieldHandler:
-    """Takes one field out of every message of a topic."""
-
-    def __init__(
-        self,
-        stream: str,
-        topic: Topic,
-        path: FieldPath,
-        inputs: Inputs,
-        note: Callable[[str], None],
-        is_stamped: bool,
-    ) -> None:
-        self._stream, self._topic, self._path = stream, topic, path
-        self._inputs, self._note, self._is_stamped = inputs, note, is_stamped
-        self._decode = decoder_of(topic)
-        self._seen = False
-
-    def __call__(self, message: RawMessage) -> None:
-        try:
-            sample = self._decode(message.data)
-        except Exception:
-            self._inputs.reject(self._stream, DAMAGED)
-            return
-        value = self._value(sample)
-        stamp = self._stamp(sample, message.log_time_ns)
-        frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
-        if self._stream == "force":
-            self._inputs.add_force(frame, stamp, value)
-        else:
-            turn = self._path.orientation_beside(sample)
-            self._inputs.add_displacement(frame, stamp, value, turn)
-
-    def _value(self, sample: Any) -> NumberOrVector | None:
-        try:
-            found = self._path.of(sample)
-        except IndexError:
-            return None
-        except InputError as error:
-            raise InputError(f"{self._topic.name}: {error}") from None
-        value = as_number_or_vector(found)
-        if value is None and not self._seen:
-            raise InputError(
-                f"{self._topic.name}: {self._path.text} is neither a number nor a vector: "
-                f"choose another field with --{self._stream}-field"
-            )
-        self._seen = True
-        return value
-
-    def _stamp(self, sample: Any, log_time_ns: int) -> int:
-        if not self._is_stamped:
-            return log_time_ns
-        stamp = carried_stamp(sample)
-        if stamp is not None:
-            return stamp_ns(stamp)
-        self._note(
-            f"{self._topic.name} carries no stamps: the times of recording are used, which jitter"
-        )
-        return log_time_ns
 
 
 class TableSource:
