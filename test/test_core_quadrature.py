@@ -237,7 +237,7 @@ def test_another_laying_changes_little() -> None:
         of = estimator(Uncertainty())
         take(of, pressed(seed))
         before = of.release()
-        of.place.lay_again()
+        of.best.lay_again()
         after = of.estimate()
         moved = np.abs(after.mean - before.mean) / before.deviations
         assert moved.max() < 0.05
@@ -257,8 +257,8 @@ def test_what_is_not_settled_is_not_claimed() -> None:
     of = estimator()
     take(of, pressed(4))
     assert of.release().known == ParameterSet.ALL
-    assert of.place.filter is not None
-    of.place.filter.grid.is_settled = False
+    assert of.best.filter is not None
+    of.best.filter.grid.is_settled = False
     assert of.estimate().known == ParameterSet.NONE
 
 
@@ -279,7 +279,7 @@ def test_shares_add_up_to_the_variance() -> None:
     of = estimator(Uncertainty())
     take(of, pressed(5))
     found = of.release()
-    posterior = of.place.posterior()
+    posterior = of.best.posterior()
     assert posterior is not None
     parts = np.array(list(posterior.shares().values()))
     np.testing.assert_allclose(parts.sum(axis=0), np.diag(found.covariance)[:2], rtol=1e-6)
