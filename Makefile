@@ -61,6 +61,5 @@ search: setup
 
 clean:
 	rm -rf .venv .venv-jazzy build install log demo dist *.egg-info
-	rm -f fden_ros/core/estimation/_loops.*.so
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -6,26 +6,7 @@
 import xml.etree.ElementTree as ElementTree
 from glob import glob
 
-from setuptools import Extension, find_packages, setup
-from setuptools.command.build_ext import build_ext
-from setuptools.errors import CCompilerError, ExecError
-
-COMPILED = "fden_ros/core/estimation/compiled"
-
-
-class BuildLoops(build_ext):
-    """Compile, or say in one line what is missing."""
-
-    def build_extension(self, ext):
-        """Build an extension."""
-        try:
-            super().build_extension(ext)
-        except (CCompilerError, ExecError, OSError) as error:
-            raise SystemExit(
-                f"fden_ros needs a C compiler and Python's headers ({error}): "
-                "sudo apt-get install build-essential python3-dev"
-            ) from None
-
+from setuptools import find_packages, setup
 
 CLUSTER = [
     "distributed",
@@ -55,15 +36,6 @@ setup(
         ("share/fden_ros/config/robots", sorted(glob("config/robots/*.yaml"))),
         ("share/fden_ros/bags", sorted(glob("bags/*.yaml"))),
     ],
-    ext_modules=[
-        Extension(
-            "fden_ros.core.estimation._loops",
-            [f"{COMPILED}/{name}.c" for name in ("module", "response", "linear")],
-            depends=["setup.py", f"{COMPILED}/loops.h"],
-            extra_compile_args=["-O3", "-ffp-contract=off", "-fno-loop-interchange", "-fno-wrapv"],
-        )
-    ],
-    cmdclass={"build_ext": BuildLoops},
     zip_safe=False,
     # The lower bounds are what Ubuntu 24.04, the platform of ROS 2 Jazzy, has.
     install_requires=[

@@ -12,6 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fden_ros.core.quadrature import QuadratureEstimator, Touch
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.quadrature.covariance import Noise, scales_of
+from fden_ros.core.quadrature.filter import Filter
+from fden_ros.core.quadrature.grid import Cells, Grid, of_stiffness, solve, table, whitened
+from fden_ros.core.quadrature.law import Expansion, Law
+from fden_ros.core.quadrature.nuisance import rig_of
+from fden_ros.core.quadrature.record import Block, Record
 from scipy.integrate import quad
 
 from fden_ros.core.arrays import Array
@@ -24,14 +32,6 @@ from fden_ros.core.estimation import (
     moments,
 )
 from fden_ros.core.law import FlatPunch
-from fden_ros.core.quadrature import QuadratureEstimator, Touch
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered
-from fden_ros.core.quadrature.covariance import Noise, scales_of
-from fden_ros.core.quadrature.filter import Filter
-from fden_ros.core.quadrature.grid import Cells, Grid, of_stiffness, solve, table, whitened
-from fden_ros.core.quadrature.law import Expansion, Law
-from fden_ros.core.quadrature.nuisance import rig_of
-from fden_ros.core.quadrature.record import Block, Record
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import outcome_of
+from fden_ros.core.estimation.proposals.place import Tissue as Belief
+from fden_ros.core.estimation.proposals.place import log_ratio
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts, first
 
 from benchmark import presses
 from benchmark.presses import CASES, trial_of
 from benchmark.trial import truth_of
-from fden_ros.core.estimation.proposals.place import Tissue as Belief
-from fden_ros.core.estimation.proposals.place import log_ratio
 from fden_ros.core.estimation.record import Record
 from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
 from simulation.scenario import (

@@ -186,19 +186,10 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
         assert shipped == {path.name for path in (ROOT / folder).glob(pattern)} != set()
 
     sourced = f"source {install}/local_setup.bash && cd {tmp_path} && "
-    code = "import fden_msgs; import fden_ros.core.estimation._loops as own; print([own.__file__])"
+    code = "import fden_msgs, fden_ros; print([fden_ros.__file__])"
     assert f"'{install}/" in run("bash", "-c", f"{sourced}python -c '{code}'").stdout
     fden = install / "fden_ros" / "lib" / "fden_ros" / "fden"
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
-
-
-def test_without_a_compiler_one_line_says_what_to_install(tmp_path):
-    build = [sys.executable, "setup.py", "-q", "build_ext", "-f", "-b", tmp_path, "-t", tmp_path]
-    failed = subprocess.run(
-        build, cwd=ROOT, env=os.environ | {"CC": "no-compiler"}, capture_output=True, text=True
-    )
-    assert failed.returncode != 0
-    assert "apt-get install build-essential python3-dev" in failed.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

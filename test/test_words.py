@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fden_ros.core.estimation.budget import SOURCES
 from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
@@ -25,7 +26,6 @@ from fden_ros.core.estimation import (
     ParameterSet,
     Uncertainty,
 )
-from fden_ros.core.estimation.budget import SOURCES
 from fden_ros.core.law import ApparentStiffness, FlatPunch
 from fden_ros.core.outputs import (
     Classification,

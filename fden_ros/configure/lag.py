@@ -22,12 +22,14 @@ from fden_ros.configure.session import Contact, Session
 from fden_ros.configure.statistics import pooled
 from fden_ros.core import ContactSummary, Pipeline
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import LINEAR_DELAY, NOTHING_UNKNOWN, EstimatorConfig, Prior
+from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior
 from fden_ros.core.oscillation import PalpationMeter
 from fden_ros.core.outputs import Output
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
 
+#: Least standard deviation of a lag that tissue alone shows [s].
+_TISSUE_SD = 0.01
 #: Standard deviation of the delay before the recording tells [s]: drivers that stamp apart are up
 #: to 100 ms apart.
 _PRIOR_SD = 0.1
@@ -129,7 +131,7 @@ def _of_presses(
     value, sd = pooled(*zip(*lags, strict=True))
     # Until a bend is known within a block the estimator claims nothing either.
     presses = "a press" if len(lags) == 1 else f"{len(lags)} presses"
-    return Lag(value, max(sd, LINEAR_DELAY), f"by {presses} of tissue", tuple(seconds), False)
+    return Lag(value, max(sd, _TISSUE_SD), f"by {presses} of tissue", tuple(seconds), False)
 
 
 def _of_press(

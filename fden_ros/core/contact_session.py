@@ -172,8 +172,6 @@ class ContactSession:
         contact, stamp_ns = self._contact, pair.stamp_ns
         yield from self._lead(lambda contact: contact.hover(pair))
         if self._common.sums.passes(stamp_ns):
-            if contact is not None:
-                contact.work(stamp_ns)
             yield self._state(stamp_ns)
         if contact is not None and contact.is_due(stamp_ns):
             yield from self._lead(lambda contact: contact.summarize(stamp_ns))

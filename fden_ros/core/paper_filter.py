@@ -31,6 +31,7 @@ Law errors, compliance and delay are not modelled: they raise chi squared, and a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,13 +39,14 @@ from filterpy.kalman import InformationFilter
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
-    Block,
+    CellInnovation,
     Estimate,
     Estimator,
     EstimatorConfig,
-    Innovation,
+    Evidence,
+    Touch,
+    claims_of,
 )
-from fden_ros.core.estimation.claims import Evidence, claims_of
 from fden_ros.core.law import Geometry, phi
 from fden_ros.core.law.relaxation import (
     HIGHEST_ORDER,
@@ -266,7 +268,7 @@ class PaperFilter(Estimator):
         self._is_over, self._is_settled = False, True
         self._blocks: list[tuple[_Step, float, float]] = []
         self._weighed: _Weighed
-        self._samples: list[tuple[float, float]] = []  #: times and compressions of the next block
+        self.innovation: CellInnovation | None = None
         self._time = self._deepest = 0.0
         self._next_look = self._restart = 0  #: at the grid, and from the prior's: counts of blocks
         self._point = -SHORTEST_STEP  #: time of the newest point of the motion [s]
@@ -287,15 +289,16 @@ class PaperFilter(Estimator):
 
     # Samples
 
-    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
+    def touch(self, onset: Touch, pause: float) -> None:
         """Begin with the way of the probe, as far back as the touch may have been."""
         self._contact_count += 1
         self._is_over = self._contact_count > 1
+        self.innovation = None
         if self._is_over:
             return
         least = _LEAST_BIAS * self._noise_variance
-        self._information = self._information[0], 1.0 / max(bias_sd**2, least)
-        way = way if way is not None else np.empty((3, 0))
+        self._information = self._information[0], 1.0 / max(onset.bias_sd**2, least)
+        way = onset.approach
         outside = np.flatnonzero(way[1] < -_OUTSIDE * self._sd[2])
         own = way[:, outside[-1] if outside.size else 0 :]
         if own.size:
@@ -306,27 +309,30 @@ class PaperFilter(Estimator):
             if part.size:
                 self._pass(part[0], part[1], float(part[2].mean()))
 
-    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
-        """Take a sample of a contact, `step` seconds after the last."""
-        self._time += step
-        self._is_over |= is_free
-        self._samples.append((self._time, compression))
+    def add(
+        self,
+        times: Sequence[float],
+        indentation: Sequence[float],
+        stress: Sequence[float],
+        on_tissue: Sequence[bool],
+    ) -> Estimate:
+        """Take a block up to the lift-off; see :meth:`~.estimation.Estimator.add`."""
+        self._is_over |= not all(on_tissue)
+        self.innovation = None
+        if not self._is_over:
+            self._time = times[-1]
+            self._sample_count += len(times)
+            places = np.array(indentation)
+            self._deepest = max(self._deepest, float(places.mean()))
+            self.innovation = self._pass(np.array(times), places, float(np.mean(stress)))
+        return self.estimate()
 
-    def skip(self) -> None:
-        """Let the samples since the last block go by: the probe leaves the tissue."""
+    def release(self) -> Estimate:
+        """End the contact."""
         self._is_over = True
+        return self.estimate()
 
-    def update(self, block: Block) -> Innovation | None:
-        """Take one block; return how it compared with the prediction; None: it was not used."""
-        times, places = np.array(self._samples).T
-        self._samples.clear()
-        if self._is_over:
-            return None
-        self._sample_count += block.size
-        self._deepest = max(self._deepest, block.compression)
-        return self._pass(times, places, block.stress)
-
-    def _pass(self, times: Array, places: Array, stress: float) -> Innovation:
+    def _pass(self, times: Array, places: Array, stress: float) -> CellInnovation:
         """Take the motion of a block and its mean stress [Pa]."""
         grid, before = self._grid, self._weighed
         step = self._step_of(times, places)
@@ -348,9 +354,7 @@ class PaperFilter(Estimator):
         predicted = float(before.weights @ stresses)
         spread = before.log_g_variance * (g * response) ** 2 + (stresses - predicted) ** 2
         variance = noise + float(before.weights @ spread)
-        return Innovation(
-            float(before.weights @ (g * p[-1])), predicted, stress - predicted, variance
-        )
+        return CellInnovation(predicted, stress - predicted, variance)
 
     def _missed(self, times: Array, places: Array, stress: float) -> float:
         """Return the variance of a block's stress by the noise of the motion and the response.

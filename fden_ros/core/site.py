@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -17,14 +16,14 @@ from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import Onset
 from fden_ros.core.estimation import (
-    Block,
     Budget,
     Estimate,
     Estimator,
     EstimatorKind,
+    GridEstimator,
     Innovation,
-    PosteriorEstimator,
     Reservations,
+    Touch,
     reserved,
 )
 from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
@@ -41,9 +40,6 @@ _DIP_TIME = 0.5
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
-#: The tissue has changed where the innovations of so many blocks in a row add up to more than so
-#: many of the standard deviations of their sum [1].
-_GATE_BLOCKS, _GATE_DEVIATIONS = 4, 7.0
 
 
 class Learned(NamedTuple):
@@ -78,7 +74,10 @@ class Site(Standing):
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
-        self._surprises: deque[float] = deque(maxlen=_GATE_BLOCKS)
+        self._is_pressed = False  #: the estimator's press is open
+        self._pause = self._elapsed = 0.0  #: before the next touch, and since the last [s]
+        #: Of the next block: times since the touch, indentations, stresses, on the tissue.
+        self._samples: list[tuple[float, float, float, bool]] = []
 
     @property
     def is_doubtful(self) -> bool:
@@ -119,9 +118,10 @@ class Site(Standing):
         return None if is_late else False
 
     def put_away(self) -> None:
-        """Keep of the last contact what the next one here goes on from: the probe is elsewhere."""
-        if self._estimator is not None:
-            self._estimator.put_away()
+        """End the press that is open: the probe is elsewhere."""
+        if self._estimator is not None and self._is_pressed:
+            self._is_pressed = False
+            self._estimator.release()
 
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
@@ -162,11 +162,13 @@ class Site(Standing):
         self._rest_until(first.stamp_ns)
         self._memory.begin_block()
         if self._estimator is not None:
+            self.put_away()
             times, way, forces = onset.way
             seen = (times, (way - self.origin) / config.geometry.length, scale * forces)
-            self._estimator.begin_contact(
-                onset.bias_sd * scale, onset.drift_sd * scale, np.array(seen)
-            )
+            zero = onset.bias_sd * scale, onset.drift_sd * scale
+            self._estimator.touch(Touch(*zero, np.array(seen)), self._pause)
+            self._is_pressed, self._pause, self._elapsed = True, 0.0, 0.0
+            self._samples.clear()
 
     def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
         """Let the estimator of another site, of tissue at rest, know this tissue: it may be it.
@@ -174,13 +176,13 @@ class Site(Standing):
         It gets a copy: a later touch here goes on from what was known here.
         """
         own = copy.deepcopy(self._estimator) if self.is_observed else None
-        if not (isinstance(own, PosteriorEstimator) and isinstance(new, PosteriorEstimator)):
+        if not (isinstance(own, GridEstimator) and isinstance(new, GridEstimator)):
             return
-        own.rest(self._pause_until(onset.samples[0].stamp_ns))
+        other._pause = self._pause + self._pause_until(onset.samples[0].stamp_ns)
         shift = (other.origin - self.origin) / self._config.geometry.length
         found = found_sd(onset, self._config)
         wider = math.log(other.origin_sd / found) if other.origin_sd and found else 0.0
-        new.may_be_of(own, shift, wider)
+        new.may_continue(own, shift, wider)
 
     def _rest_until(self, stamp_ns: int) -> None:
         """Let the tissue relax free of stress since the last sample in contact."""
@@ -188,8 +190,7 @@ class Site(Standing):
         if not pause:
             return
         self._memory.rest(pause)
-        if self._estimator is not None and self.is_observed:
-            self._estimator.rest(pause)
+        self._pause += pause
         self._last_ns = stamp_ns - round(SHORTEST_STEP * NANOSECONDS)
 
     def _pause_until(self, stamp_ns: int) -> float:
@@ -221,7 +222,8 @@ class Site(Standing):
         if learns and self.is_observed and self._estimator is not None:
             is_round = geometry.exponent > 1.0
             is_off = is_free or (is_round and self._lift_off.is_shrinking(compression))
-            self._estimator.take(step, compression, stress, is_free=is_off)
+            self._elapsed += step
+            self._samples.append((self._elapsed, compression, stress, not is_off))
         if step > 0.0:
             self._memory.press(step, 0.0 if is_free else stress)
         self._last_ns = pair.stamp_ns
@@ -239,35 +241,23 @@ class Site(Standing):
         """
         assert self._lift_off is not None
         memory, innovation = self._memory.means(means.size), None
-        fractional_stress = _fractional_stress(memory, self._config, self.estimate)
+        weights = _memory_weights(self._config, self.estimate)
+        fractional_stress = float(weights @ memory)
         if learns and self.is_observed and self._estimator is not None:
             self._lift_off.see_mean(means.force)
-            if not means.has_free:
-                block = _block(means, memory, self.start_ns, is_past=is_silent)
-                was_explained = not self._estimator.is_doubtful
-                innovation = self._estimator.update(block)
-                if innovation is not None:
-                    _check_finite(innovation.innovation, innovation.variance)
-                    self._gate(innovation, was_explained=was_explained)
-            else:
-                self._estimator.skip()
+            estimate = self._estimator.add(*zip(*self._samples, strict=True))
+            self._samples.clear()
+            found = None if means.has_free else self._estimator.innovation
+            if found is not None:
+                _check_finite(found.innovation, found.variance)
+                # The stress before is measured: the newest alone differs from its prediction.
+                predicted = fractional_stress - float(weights[-1]) * found.innovation
+                innovation = Innovation(predicted, *found)
+            if self._estimator.is_changed:
+                self.withdraw(Flag.TISSUE_CHANGED)
             if not is_silent or self.estimate is None:
-                # A contact that is told as it ends has silent blocks alone.
-                self.find(_checked(self._estimator.estimate()))
+                self.find(_checked(estimate))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
-
-    def _gate(self, innovation: Innovation, *, was_explained: bool) -> None:
-        """Withdraw where a few blocks in a row are none of the tissue that was touched.
-
-        `was_explained`: the blocks before were; an estimator that is still looking has large
-        innovations.
-        """
-        surprises = self._surprises
-        if not was_explained and not surprises:
-            return
-        surprises.append(innovation.innovation / math.sqrt(innovation.variance))
-        if abs(sum(surprises)) > _GATE_DEVIATIONS * math.sqrt(_GATE_BLOCKS):
-            self.withdraw(Flag.TISSUE_CHANGED)
 
     def fail(self) -> None:
         """Say nothing any more, after an exception."""
@@ -276,33 +266,16 @@ class Site(Standing):
 
     # The end of a contact
 
-    @property
-    def _ending(self) -> Estimator | None:
-        """The estimator that has something to bring to its best."""
-        return self._estimator if self.usable_estimate is not None else None
-
-    def begin_leaving(self) -> None:
-        """Begin to bring the estimate to its best at the end of a contact."""
-        if self._ending is not None:
-            self._ending.begin_finish()
-
-    @property
-    def is_working(self) -> bool:
-        """Whether that is not done yet."""
-        return self._ending is not None and self._ending.is_working
-
-    def work(self, seconds: float) -> None:
-        """Go on with that by the work of a time in the air [s]."""
-        if self._ending is not None:
-            self._ending.work(seconds)
-
     def leave(self) -> None:
-        """Bring the estimate to its best at the end of a contact, as was begun."""
-        estimator = self._ending
-        if estimator is None:
+        """Bring the estimate to its best at the end of a contact."""
+        estimator = self._estimator
+        if estimator is None or not self._is_pressed:
             return
-        estimator.finish()
-        self.find(_checked(estimator.estimate()))
+        self._is_pressed = False
+        estimate = estimator.release()
+        if self.usable_estimate is None:
+            return
+        self.find(_checked(estimate))
         off = estimator.rig_misfit / _CONTRADICTION
         if off > 1.0:
             self.doubt(Flag.RIG_PRIOR_CONFLICT, 1.0 + off**2)
@@ -315,25 +288,10 @@ class Site(Standing):
         return estimator.budget()
 
 
-def _fractional_stress(memory: Array, config: PipelineConfig, estimate: Estimate | None) -> float:
-    """Return D^-alpha of the stress at the newest alpha [Pa s^alpha]."""
+def _memory_weights(config: PipelineConfig, estimate: Estimate | None) -> Array:
+    """Return the weights of the memory at the newest alpha."""
     order = config.estimator.prior.fractional_order
-    if estimate is not None:
-        order = estimate.fractional_order
-    return float(memory_weights(order) @ memory)
-
-
-def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Block:
-    """Return a block for the estimator, its time counted from the site's first touch."""
-    return Block(
-        compression=means.compression,
-        stress=means.stress,
-        memory_time=0.5 * (means.start_ns + means.end_ns - 2 * start_ns) / NANOSECONDS,
-        size=means.size,
-        duration=means.duration,
-        memory=memory,
-        is_past=is_past,
-    )
+    return memory_weights(estimate.fractional_order if estimate is not None else order)
 
 
 def prepare(config: PipelineConfig) -> None:
@@ -356,7 +314,7 @@ def _new_estimator(
         from fden_ros.core.paper_filter import PaperFilter
 
         return PaperFilter(config.estimator, geometry, noise_sd, origin_sd, variance)
-    return PosteriorEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
+    return GridEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
 
 
 def _checked(estimate: Estimate) -> Estimate:

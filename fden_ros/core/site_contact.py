@@ -23,9 +23,8 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 _FAINT = 4.0
 #: Samples from before the detection of a touch are backfilled within about this time [s].
 _CATCH_UP_TIME = 0.03
-#: A summary is given this long after the release [ns], where the last solution has been found by
-#: then, and at the latest after this [ns]: what is left of it is done at once.
-_SUMMARY_AFTER_NS, _SUMMARY_BY_NS = 4 * NANOSECONDS // 10, 8 * NANOSECONDS // 10
+#: A summary is given this long after the release [ns].
+_SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
 
 
 class State(enum.Enum):
@@ -33,7 +32,7 @@ class State(enum.Enum):
 
     BACKFILL = "samples from before the detection are backfilled"
     PRESSING = "each block gives a state"
-    RELEASED = "the last solution is under way"
+    RELEASED = "the summary is to come"
     AIR_CHECK = "the air behind it may contradict its summary"
     CLOSED = "nothing more comes of it"
     INTERRUPTED = "samples are missing: states without an estimate until the release"
@@ -103,7 +102,7 @@ class Contact:
         self._behind: deque[Pair] = deque()  # samples that are not taken yet
         self._pace = 1
         # From the release on
-        self._end_ns = self._worked_ns = 0
+        self._end_ns = 0
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
@@ -208,7 +207,6 @@ class Contact:
         """Give the summary of a contact whose samples end at a stamp; it is incomplete."""
         if self._may(Event.BREAK):
             yield from self._catch_up()
-            self.site.begin_leaving()
             yield self._end(Event.BREAK, stamp_ns, stamp_ns)
 
     def release(self, stamp_ns: int) -> Iterator[Output]:
@@ -223,21 +221,10 @@ class Contact:
             if self._config.contact.measure_bias:
                 drift_sd = self._config.estimator.uncertainty.force_drift_sd
                 self._air = AirAfter(self.onset, stamp_ns, drift_sd)
-            self.site.begin_leaving()
-
-    def work(self, stamp_ns: int) -> None:
-        """Go on with the last solution by the work of the time until a stamp."""
-        if self.state is State.RELEASED:
-            seconds = (stamp_ns - (self._worked_ns or stamp_ns)) / NANOSECONDS
-            self._worked_ns = stamp_ns
-            self.site.work(seconds)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether the summary is to be given at a stamp."""
-        if self.state is not State.RELEASED:
-            return False
-        least_ns = _SUMMARY_BY_NS if self.site.is_working else _SUMMARY_AFTER_NS
-        return stamp_ns - self._end_ns >= least_ns
+        return self.state is State.RELEASED and stamp_ns - self._end_ns >= _SUMMARY_AFTER_NS
 
     def summarize(self, stamp_ns: int) -> Iterator[ContactSummary]:
         """Give the summary of a contact that has ended with its release."""

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""From blocks of stress and compression to parameters with their covariance.
+"""From blocks of samples to parameters with their covariance: one weighted sum over a grid.
 
-Other rooms use the names below. Those that solve are imported when one is first asked for: who
+Other rooms use the names below. Those that compute are imported when one is first asked for: who
 reads an estimate needs no solver.
 """
 
@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.claims import (
     EDGE,
+    Evidence,
     Reservations,
+    claims_of,
     converged,
     determined,
-    probability_beyond,
     reserved,
 )
 from fden_ros.core.estimation.estimate import (
@@ -29,62 +29,56 @@ from fden_ros.core.estimation.estimate import (
     ParameterSet,
     StateIndex,
 )
-from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import (
-    KERNEL_SHARE,
     NOTHING_UNKNOWN,
     EstimatorConfig,
     EstimatorKind,
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.mixture import Component, moments, positive
-from fden_ros.core.estimation.parts import ended
-from fden_ros.core.estimation.small_motion import log_stiffness
-from fden_ros.core.estimation.smooth_errors import kernel_change
-from fden_ros.core.estimation.unknowns import LINEAR_DELAY
-from fden_ros.core.estimation.whiteness import NO_CHANCE
+from fden_ros.core.estimation.face import CellInnovation, Estimator, Innovation, Touch
+from fden_ros.core.estimation.mixture import Component, moments
 
 if TYPE_CHECKING:
-    from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator
+    from fden_ros.core.estimation.discrepancy import kernel_change
+    from fden_ros.core.estimation.estimator import GridEstimator
+    from fden_ros.core.estimation.small_motion import log_stiffness
 
 __all__ = [
     "EDGE",
-    "KERNEL_SHARE",
     "KEYS",
-    "LINEAR_DELAY",
     "NOTHING_UNKNOWN",
-    "NO_CHANCE",
     "PUBLISHED",
-    "Block",
     "Budget",
+    "CellInnovation",
     "Component",
     "Estimate",
     "Estimator",
     "EstimatorConfig",
     "EstimatorKind",
+    "Evidence",
+    "GridEstimator",
     "Innovation",
     "LawError",
     "ParameterSet",
-    "Points",
-    "PosteriorEstimator",
     "Prior",
     "Reservations",
     "StateIndex",
+    "Touch",
     "Uncertainty",
+    "claims_of",
     "converged",
     "determined",
-    "ended",
     "kernel_change",
     "log_stiffness",
     "moments",
-    "positive",
-    "probability_beyond",
     "reserved",
 ]
 
 _LATER = {
-    "PosteriorEstimator": "posterior_estimator",
+    "GridEstimator": "estimator",
+    "kernel_change": "discrepancy",
+    "log_stiffness": "small_motion",
 }
 
 if not TYPE_CHECKING:

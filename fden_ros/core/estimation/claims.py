@@ -139,13 +139,3 @@ def _at_edge(config: EstimatorConfig, evidence: Evidence) -> ParameterSet:
         # No body relaxes like this: force and displacement may be out of step.
         found |= ParameterSet.FRACTIONAL_ORDER
     return found if not config.is_order_given else found & ~ParameterSet.FRACTIONAL_ORDER
-
-
-def probability_beyond(strain: float, strain_sd: float, log_gn: float, log_gn_sd: float) -> float:
-    """Return P(strain > 1/Gn) [1]."""
-    if strain <= 0.0:
-        return 0.0
-    spread = math.hypot(log_gn_sd, strain_sd / strain)
-    if spread == 0.0:
-        return float(math.log(strain) + log_gn > 0.0)
-    return 0.5 * math.erfc(-(math.log(strain) + log_gn) / spread / math.sqrt(2.0))

@@ -56,8 +56,8 @@ class LawError(NamedTuple):
     """How far the data bend the law, as root mean squares of relative deviations [1].
 
     Of the relaxation kernel over the times seen, of the stress-strain curve over the strains seen,
-    and of the curve where it is loaded (see :mod:`fden_ros.core.estimation.law_error`). And
-    the order of the power law that is nearest to the relaxation [1].
+    and of the curve where it is loaded. And the order of the power law that is nearest to the
+    relaxation [1].
     """
 
     kernel: float

@@ -1,114 +1,329 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What an estimator offers the pipeline, the blocks it takes, and its innovations."""
+"""The estimator of one site: samples in, estimates out.
+
+Where nothing says whether a touch is of the same place as the one before, there are two records:
+one goes on, one begins. Both take the samples, and the evidence of these weighs them. What is
+published is their mixture, until one has odds of 20 to 1.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.estimate import Budget, Estimate
+from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
+from fden_ros.core.estimation.estimate import Budget, Estimate, ParameterSet
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.face import CellInnovation, Estimator, Touch
+from fden_ros.core.estimation.mixture import Component, moments
+from fden_ros.core.estimation.place import PlacePosterior, Setting
+from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.small_motion import SmallMotion
+from fden_ros.core.law import Geometry
+
+#: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
+#: discrepancy of the law [1]: on a ramp only the curve is.
+_UNSEEN = 0.5
+#: Odds at which a place is dropped [1].
+_ODDS = 20.0
+#: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
+_SIMILAR = np.array([0.3, 0.15, 0.04])
+#: Probability of a plateau from which on the law is contradicted [1].
+_MISMATCH = 0.95
 
 
-class Block(NamedTuple):
-    """Means over a block of samples."""
+@dataclass
+class _Hypothesis:
+    """A place that may be the one that is touched."""
 
-    compression: float  #: u, from the nominal strain origin [1]
-    stress: float  #: f [Pa]
-    memory_time: float  #: t since the memory began [s]
-    size: int  #: samples in the block
-    duration: float  #: from the first sample to the last and one step more [s]
-    memory: Array  #: of the stress, as :meth:`~..law.stress_memory.StressMemory.means` gives it
-    is_past: bool = False  #: later samples have come already, and are made up for
-
-
-class Innovation(NamedTuple):
-    """How one block compared with its prediction."""
-
-    predicted_fractional_stress: float  #: [Pa s^alpha]
-    predicted_stress: float  #: [Pa]
-    innovation: float  #: observed less predicted [Pa]
-    variance: float  #: of the innovation [Pa^2]
+    place: PlacePosterior
+    log_prior: float = 0.0
+    shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
+    base: float = 0.0  #: log evidence of its record before the touch
 
     @property
-    def normalized_squared(self) -> float:
-        """Normalised innovation squared (NIS) [1]."""
-        return self.innovation**2 / self.variance
+    def log_weight(self) -> float:
+        """Of the press that is open, or the last."""
+        return self.log_prior + self.place.log_evidence - self.base
 
 
-class Estimator:
-    """An observation model with its filter; the pipeline asks for nothing else.
+@dataclass(frozen=True)
+class _Part:
+    """One hypothesis by now."""
 
-    One that has no use for something leaves it as it is here.
+    weight: float
+    place: PlacePosterior
+    posterior: Posterior
+    mean: Array  #: of (ln G, ln Gn, alpha, contact point), (4,)
+    covariance: Array
+    claims: Claims
+    beyond: float
+
+
+class GridEstimator(Estimator):
+    """The estimator of one site.
+
+    Parameters
+    ----------
+    noise_sd : float
+        Standard deviation of the stress per sample [Pa].
+    contact_point_sd : float
+        Standard deviation of the contact point [1]; 0: known.
+    path_variance : float
+        Of the indentation per sample, times the time between samples [s].
     """
 
+    def __init__(
+        self,
+        config: EstimatorConfig,
+        geometry: Geometry,
+        noise_sd: float,
+        contact_point_sd: float = 0.0,
+        path_variance: float = 0.0,
+    ) -> None:
+        self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
+        self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
+        self._touched_at, self._now, self._count = 0.0, 0.0, 0
+
+    def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
+        """Let the next touch, the first, be perhaps of the place that another one was on.
+
+        Parameters
+        ----------
+        shift : float
+            By which the indentations of the other are larger [1].
+        log_wider : float
+            Logarithm of how much wider the contact point's prior is than where the touch showed
+            the surface: that noise may hide it makes a new place no less likely.
+        """
+        self._now = other._now
+        before = max(other._hypotheses, key=lambda one: one.log_weight)
+        if before.place.filter is None:
+            return
+        noise_sd = before.place.noise_sd
+        similar = replace(self._setting, config=_similar(self._setting.config, other.estimate()))
+        self._hypotheses = [
+            _Hypothesis(before.place.continued(), math.log(2.0), before.shift + shift),
+            _Hypothesis(PlacePosterior(self._setting, noise_sd), log_wider),
+            _Hypothesis(PlacePosterior(similar, noise_sd), log_wider),
+        ]
+
+    def touch(self, onset: Touch, pause: float) -> None:
+        """Begin a press, a time without stress [s] after the last sample."""
+        self._now = self._touched_at = self._now + pause
+        for one in self._hypotheses:
+            one.base = one.place.log_evidence
+            approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
+            one.place.touch(onset._replace(approach=approach), self._now)
+
+    def add(
+        self,
+        times: Sequence[float],
+        indentation: Sequence[float],
+        stress: Sequence[float],
+        on_tissue: Sequence[bool],
+    ) -> Estimate:
+        """Take samples of the press; return the estimate by now.
+
+        Parameters
+        ----------
+        times : sequence of float
+            Since the touch [s].
+        indentation, stress : sequence of float
+            From the nominal contact point [1]; [Pa].
+        on_tissue : sequence of bool
+            Whether the probe is on the tissue, as far as is known.
+        """
+        for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
+            self._now = self._touched_at + time
+            for one in self._hypotheses:
+                one.place.add(self._now, u + one.shift, f, on_tissue=on)
+        self._count += len(times)
+        return self.estimate()
+
+    def release(self) -> Estimate:
+        """End the press; return the estimate."""
+        for one in self._hypotheses:
+            one.place.release()
+        # One that is not solved is not weighed.
+        solved = [one for one in self._hypotheses if one.place.is_settled]
+        if solved:
+            least = max(one.log_weight for one in solved) - math.log(_ODDS)
+            self._hypotheses = [one for one in solved if one.log_weight >= least]
+        return self.estimate()
+
+    # What else the pipeline needs
+
     @property
-    def is_mismatch(self) -> bool:
-        """Whether the data contradict the law."""
-        return False
+    def best(self) -> PlacePosterior:
+        """The likeliest place."""
+        return max(self._hypotheses, key=lambda one: one.log_weight).place
+
+    @property
+    def innovation(self) -> CellInnovation | None:  # type: ignore[override]
+        """Of the newest block; None: it was not predicted."""
+        return self.best.innovation
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the newest data are not explained yet."""
-        return False
+        """Whether the newest block is beyond the gate."""
+        return self.best.is_beyond
 
     @property
     def rig_misfit(self) -> float:
         """How far a contact says the rig is from what is stated, in standard deviations [1]."""
-        return 0.0
+        posterior = self.best.posterior()
+        return posterior.rig_conflict if posterior is not None else 0.0
 
     def budget(self) -> Budget | None:
         """Return what makes the estimate uncertain; None: not known."""
-        return None
+        posterior = self.best.posterior()
+        if posterior is None:
+            return None
+        variances = posterior.tissue[1].diagonal()
+        whole = float(variances[0]), float(variances[1])
+        noise_sd = self._setting.noise_sd
+        return Budget(whole, posterior.shares(), noise_sd, math.sqrt(float(variances[3])))
 
-    def begin_contact(self, bias_sd: float, drift_sd: float, way: Array | None = None) -> None:
-        """Start a contact whose stress has a bias [Pa] and a drift [Pa/s] of its own.
+    @property
+    def is_changed(self) -> bool:
+        """Whether the tissue under the probe has changed since the touch."""
+        return all(one.place.is_changed for one in self._hypotheses)
 
-        `way`: of the probe, before the first sample: times, counted from that [s], compressions
-        [1] and stresses [Pa], shape (3, n).
-        """
+    @property
+    def plateau_probability(self) -> float:
+        """Probability that the relaxation has a plateau [1]; NaN: it was not asked for."""
+        return self.best.plateau_probability
 
-    def take(self, step: float, compression: float, stress: float, *, is_free: bool) -> None:
-        """Take a sample of a contact, `step` seconds after the last.
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the data contradict the law."""
+        return self.plateau_probability > _MISMATCH
 
-        `is_free`: its stress tells nothing of the tissue, which is not on the probe, as far as is
-        known, or comes off a round one.
-        """
-
-    def rest(self, duration: float) -> None:
-        """Let time [s] pass between two contacts."""
-
-    def skip(self) -> None:
-        """Let the samples since the last block go by."""
-
-    def update(self, block: Block) -> Innovation | None:
-        """Take one block; return how it compared with the prediction; None: it was not used.
-
-        Raises
-        ------
-        FloatingPointError
-            If the block's response is beyond floating-point numbers.
-        """
-        raise NotImplementedError
-
-    def put_away(self) -> None:
-        """Keep of the last contact what the next one goes on from."""
+    # The estimate
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        raise NotImplementedError
+        parts = self._parts()
+        found = self._mixed(parts) if parts else self._prior()
+        return found._replace(sample_count=self._count)
 
-    def begin_finish(self) -> None:
-        """Begin to bring the estimate to its best at the end of a contact."""
+    def _parts(self) -> list[_Part]:
+        known = [one for one in self._hypotheses if one.place.filter is not None]
+        if not known:
+            return []
+        logs = np.array([one.log_weight for one in known])
+        weights = np.exp(logs - logs.max())
+        weights /= weights.sum()
+        likely = [k for k, weight in enumerate(weights) if weight > 1.0 / (1.0 + _ODDS)]
+        total = float(weights[likely].sum())
+        return [self._part(known[k], float(weights[k]) / total) for k in likely]
 
-    @property
-    def is_working(self) -> bool:
-        """Whether that is under way."""
-        return False
+    def _part(self, one: _Hypothesis, weight: float) -> _Part:
+        posterior, config = one.place.posterior(), self._setting.config
+        assert posterior is not None
+        mean, covariance = posterior.tissue
+        beyond = posterior.probability_beyond(one.place.deepest)
+        mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
+        sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        claims = claims_of(config, Evidence(mean[:3], sds[:3], beyond, one.place.is_settled))
+        return _Part(weight, one.place, posterior, mean, covariance, claims, beyond)
 
-    def work(self, seconds: float) -> None:
-        """Go on with that by the work of a time without samples [s]."""
+    def _prior(self) -> Estimate:
+        config = self._setting.config
+        covariance = np.diag(config.prior.deviations**2)
+        covariance[:2, :2] += config.uncertainty.thickness_sd**2
+        sds = np.sqrt(covariance.diagonal())
+        claims = claims_of(config, Evidence(config.prior.mean, sds, 0.0, False))
+        log_g, log_gn, order = config.prior.mean.tolist()
+        return Estimate(
+            log_g,
+            log_gn,
+            order,
+            covariance=covariance,
+            contact_point_sd=self._setting.contact_point_sd,
+            observable=claims.observable,
+            known=claims.known,
+        )
 
-    def finish(self) -> None:
-        """Bring the estimate to its best at the end of a contact, as was begun."""
+    def _mixed(self, parts: Sequence[_Part]) -> Estimate:
+        config = self._setting.config
+        mean, covariance = moments([Component(p.weight, p.mean, p.covariance) for p in parts])
+        sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        observable = known = ParameterSet.ALL
+        at_edge = ParameterSet.NONE
+        for part in parts:
+            observable &= part.claims.observable
+            known &= part.claims.known
+            at_edge |= part.claims.at_edge
+        known &= converged(config, sds[:3], observable)
+        is_open = any(one.place.filter is None for one in self._hypotheses)
+        if is_open or self.is_changed:
+            known = ParameterSet.NONE
+        best = max(parts, key=lambda part: part.weight)
+        grid = best.posterior.grid
+        log_g, log_gn, order, contact_point = mean.tolist()
+        with_point = covariance[3, :3].tolist()
+        return Estimate(
+            log_g,
+            log_gn,
+            order,
+            covariance=covariance[:3, :3],
+            contact_point=contact_point,
+            contact_point_sd=float(sds[3]),
+            probability_beyond_boundary=sum(p.weight * p.beyond for p in parts),
+            observable=observable,
+            known=known,
+            at_edge=at_edge,
+            model_discrepancy=sum(one.curve * part for one, part in grid.scales),
+            mean_dwell_time=best.posterior.mean_dwell_time,
+            law_error=best.posterior.law_error(best.place.elapsed, best.place.deepest),
+            plateau_probability=self.plateau_probability,
+            with_origin=(with_point[0], with_point[1], with_point[2]),
+            components=_components(parts),
+            small_motions=self._small_motions(parts),
+        )
+
+    def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
+        shifts = {id(one.place): one.shift for one in self._hypotheses}
+        sd = _UNSEEN * self._setting.config.uncertainty.characteristic_sd
+        found = []
+        for part in parts:
+            is_seen = part.place.has_slowed or part.place.presses > 1
+            unseen = 0.0 if is_seen else sd**2
+            shift = shifts[id(part.place)]
+            found.append(SmallMotion(part.posterior, part.weight, shift, unseen=unseen))
+        return tuple(found)
+
+
+def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
+    """Return what is known of tissue that is similar to one that is estimated."""
+    sds = np.hypot(estimate.deviations, _SIMILAR)
+    sds = np.minimum(sds, config.prior.deviations).tolist()
+    mean = estimate.mean
+    prior = replace(
+        config.prior,
+        linear_stiffness=math.exp(mean[0]),
+        nonlinear_stiffness=math.exp(mean[1]),
+        fractional_order=float(mean[2]),
+        linear_stiffness_log_sd=sds[0],
+        nonlinear_stiffness_log_sd=sds[1],
+        fractional_order_sd=sds[2],
+    )
+    return replace(config, prior=prior)
+
+
+def _components(parts: Sequence[_Part]) -> tuple[Component, ...]:
+    """Return at most 8 Gaussians of (ln G, ln Gn, alpha)."""
+    most = (8, 4, 2)[len(parts) - 1]
+    return tuple(
+        component._replace(weight=part.weight * component.weight)
+        for part in parts
+        for component in part.posterior.components(most)
+    )

@@ -1,202 +1,268 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""The extended Kalman filter between two solutions of the posterior.
+r"""The step of one block: exact for all nodes at once, where nodes and columns stay.
 
-The state x holds the unknowns and the two walks. A block of stress z is
-
-.. math::
-    z = f(\hat\theta) + J(\theta - \hat\theta) + w + k s + v = h(x) + v,
-
-linear about the maximum of the last solution; what it lacks there is variance of w
-(:class:`LinearRange`). Predict and update as in the book (Bar-Shalom,
-Li and Kirubarajan 2001, section 5.2):
+A new cell appends a row to S = L L^T, to its factor and to all that is whitened,
 
 .. math::
-    P \leftarrow P + Q, \quad y = z - h(x), \quad S = H P H^T + R, \quad
-    K = P H^T S^{-1}, \quad x \leftarrow x + K y, \quad P \leftarrow P - K S K^T .
+    \ell = L^{-1} s, \qquad d^2 = S_{nn} - \ell^T \ell, \qquad \text{row} \leftarrow
+    (\text{row} - \ell^T W) / d
+
+so a and b of each node grow by one product, and its weight by the likelihood of its innovation: a
+bank of exact conditional filters, marginalised over all that is linear (Schon, Gustafsson and
+Nordlund, IEEE Trans. Signal Process. 53, 2005). There is no other approximation than the grid's.
 """
 
 from __future__ import annotations
 
-import copy
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.block import BLOCK_TIME, Points
-from fden_ros.core.estimation.error_model import ErrorModel, Errors, Row
-from fden_ros.core.estimation.maximum import LARGEST_STEP
-from fden_ros.core.estimation.press_model import PressModel
-from fden_ros.core.estimation.solution import Solution
-from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORDER
-from fden_ros.core.law import log_phi
+from fden_ros.core.estimation.cells import Press
+from fden_ros.core.estimation.covariance import JITTER, Clocks, Scales, shifts_of
+from fden_ros.core.estimation.discrepancy import KERNEL, KERNEL_HATS
+from fden_ros.core.estimation.face import CellInnovation
+from fden_ros.core.estimation.grid import (
+    Grid,
+    Stiffness,
+    cut,
+    log_evidence_of,
+    log_sum,
+    of_stiffness,
+    prior_of_log_g,
+    solved,
+)
+from fden_ros.core.estimation.law import of_cells
+from fden_ros.core.law import RATES
+
+#: Cells that a filter takes before its grid is laid anew [1].
+_ROOM = 48
 
 
-class Update(NamedTuple):
-    """How a block compared with its prediction, and the errors of all blocks of the step."""
+class _Row(NamedTuple):
+    """What a new cell adds."""
 
-    prediction: float  #: [Pa]
-    innovation: float  #: observed less predicted [Pa]
-    variance: float  #: S, of the innovation [Pa^2]
-    log_likelihood: float  #: of all blocks of the step [1]
-    errors: Errors
-
-
-class LinearRange:
-    r"""What a model that is linear about a state lacks at other states, for some blocks.
-
-    The stress of a block goes with :math:`\varphi(x;\, G, G_n)\,A^{-\alpha}`, A the mean age of
-    its loading. With :math:`\Delta` the change of that logarithm from one state to another, and
-    :math:`\Delta_1` its linear part, a model that is linear about the first lacks
-    :math:`e^{\Delta} - 1 - \Delta_1` of the stress there: what a second-order filter would correct
-    for (Bar-Shalom, Li and Kirubarajan 2001, section 10.3.2). The smooth errors of the law do not
-    count.
-
-    Parameters
-    ----------
-    about : ndarray, shape (size,)
-    age : float
-        Mean time since the loading was built up [s].
-    """
-
-    def __init__(self, model: PressModel, points: Points, about: Array, age: float) -> None:
-        self._geometry, self._about = model.geometry, about
-        self._compressions, self._by_state = model.motion.ends(points, about)
-        self._log_age = math.log(max(age, BLOCK_TIME))
-
-    def lacking(self, block: int, state: Array) -> float:
-        """Return what the model lacks at a block, in parts of its stress [1]."""
-        off = state - self._about
-        before, moved = float(self._compressions[block]), float(self._by_state[block] @ off)
-        if before <= 0.0 or before + moved <= 0.0:
-            return 0.0
-        first, second = self._geometry.strain(before), self._geometry.strain(before + moved)
-        excess = max(math.exp(self._about[LOG_GN]) * first - 1.0, 0.0)
-        by_compression = self._geometry.strain_slope(before) / first * (1.0 + excess)
-        relaxed = -self._log_age * float(off[ORDER])
-        linear = off[LOG_G] + excess * off[LOG_GN] + by_compression * moved + relaxed
-        change = _log_phi(second, state) - _log_phi(first, self._about) + relaxed
-        # A factor of e^20 is far enough.
-        return math.expm1(min(change, 20.0)) - float(linear)
+    stress: float  #: by the model [Pa]
+    column: Array  #: (k,)
+    responses: Array  #: (M,)
+    clocks: Clocks
+    noise: float  #: variance [Pa^2]
 
 
-def _log_phi(strain: float, state: Array) -> float:
-    # From a Gn that is 0 to rounding no filter goes on.
-    with np.errstate(divide="raise"):
-        return float(log_phi(np.array(strain), state[LOG_G], state[LOG_GN]))
-
-
-class PressFilter:
-    """Goes on from a solution, block by block.
+class Filter:
+    """The weighted nodes, block by block.
 
     Attributes
     ----------
-    x, P : ndarray, shapes (n + 2,), (n + 2, n + 2)
-        Mean and covariance of the unknowns, the stress's walk and the surface's.
-    held : int or None
-        Place of an unknown that the solution holds; None: it is about a maximum.
+    grid : Grid
+        Which was laid last.
+    count : int
+        Cells by now.
     """
 
-    def __init__(self, solution: Solution, model: PressModel, error_model: ErrorModel) -> None:
-        self._model, self._error_model = model, error_model
-        self.held = solution.held
-        self._about = solution.maximum.state
-        self._scales = solution.best_scales
-        self._response = copy.deepcopy(solution.maximum.evaluation.state)
-        self._loading = solution.maximum.errors.loading
-        self._lacking = self._counted = 0.0
-        n = model.size
-        self._free = np.ones(n)
-        self._free[: len(model.unknowns)] = [u.sd != 0.0 for u in model.unknowns]
-        # Given the unknowns the walks are what the residuals less their columns leave.
-        by_unknowns = -solution.walk.means[:, 1:]
-        p00, p01, p11 = solution.walk.covariance
-        self.x = np.empty(n + 2)
-        self.x[:n] = solution.mean
-        self._solved = (
-            solution.mean[LAW_PLACES].copy(),
-            solution.covariance.diagonal()[LAW_PLACES].copy(),
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        law, linear = grid.law, grid.linear
+        self.scales: Scales = grid.start.scales
+        self._heads = grid.cells.y.shape[1]
+        self._prior = grid.covariance.prior(self.scales)
+        self._press = law.place.presses[-1]
+        self._begin_rows()
+        rows = self.white[: self.count, self._heads + law.size :]
+        own = self.white[: self.count, : self._heads]
+        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
+        self._a = np.einsum("ij,ij->j", rows, rows)
+        self._b = np.einsum("ij,ij->j", own, rows)
+        diagonal = grid.lower.diagonal()
+        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(diagonal).sum()
+        self._first = self._now = self._weighed()
+        # Rates of the lead, its changes, and the nodes.
+        drive = linear.drive
+        self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
+        rises = np.diff(self._driven, axis=0, prepend=0.0)
+        self._driven = self._driven[-1]
+        elapsed = np.diff(self._press.times, prepend=self._press.times[0])
+        y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
+        since = self._press.times[-1] - self._press.times
+        self._left = (np.exp(-np.multiply.outer(RATES, since)) * -np.expm1(-y) / y) @ rises
+        k = 1 + law.size
+        self._weights = np.hstack(
+            [np.repeat(linear.weights[:, :1], k, axis=1), linear.weights[:, 1 + linear.which]]
         )
-        self.x[n:] = solution.walk.means[:, 0] + by_unknowns @ (solution.mean - self._about)
-        self.P = np.empty((n + 2, n + 2))
-        self.P[:n, :n] = solution.covariance
-        by_unknowns *= self._free
-        self.P[n:, :n] = by_unknowns @ solution.covariance
-        self.P[:n, n:] = self.P[n:, :n].T
-        self.P[n:, n:] = self.P[n:, :n] @ by_unknowns.T + np.array([[p00, p01], [p01, p11]])
+        self._stresses = linear.stresses[-2:].tolist()
+        self._middles = self._press.middles[-2:].tolist()
+        self._loading, self._clocks = grid.covariance.loading, grid.covariance.clocks
+
+    def _begin_rows(self) -> None:
+        grid = self.grid
+        self.count, width = grid.white.shape
+        size = self.count + _ROOM
+        self.lower = np.zeros((size, size), order="F")
+        self.lower[: self.count, : self.count] = grid.lower
+        self.white = np.zeros((size, width))
+        self.white[: self.count] = grid.white
+        self.columns = np.zeros((size, grid.law.size))
+        self.columns[: self.count] = grid.linear.columns
 
     @property
-    def mean(self) -> Array:
-        """Mean of the unknowns, (n,)."""
-        return self.x[:-2]
+    def is_full(self) -> bool:
+        """Whether there is no room for another cell."""
+        return self.count >= len(self.lower)
 
     @property
-    def covariance(self) -> Array:
-        """Covariance of the unknowns, (n, n)."""
-        return self.P[:-2, :-2]
+    def stiffness(self) -> Stiffness:
+        """Ln G, its variance and the log evidence of all nodes, mixed over the scales.
 
-    @property
-    def is_near(self) -> bool:
-        """Whether it is still about where it is linear: within one step of a solution."""
-        off = np.abs(self.x[LAW_PLACES] - self._about[LAW_PLACES])
-        return bool(np.all(off <= LARGEST_STEP))
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether the model that is linear about the last solution says what the stress is."""
-        # It may lack a tenth of the stress: with tissue of the law it is below 0.08, and with a
-        # prior that excluded the tissue above 0.3 where Gn was 22 for 9.
-        return self._lacking <= 0.1
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether it is a standard deviation from where it was solved.
-
-        It went on by four of them in a hold of a minute.
+        These are weighed at a laying; between two the likelihood under the leading ones counts.
         """
-        mean, variances = self._solved
-        return bool(np.any(np.square(self.x[LAW_PLACES] - mean) > variances))
+        mixed, first, now = self.grid.stiffness, self._first, self._now
+        return Stiffness(
+            mixed.log_g + now.log_g - first.log_g,
+            mixed.variance * now.variance / first.variance,
+            mixed.log + now.log - first.log,
+        )
+
+    @property
+    def weights(self) -> Array:
+        """Of the nodes, (M,)."""
+        grid = self.grid
+        return np.asarray(np.exp(cut(grid.law, grid.nodes, self.stiffness.log + grid.log_prior)))
+
+    @property
+    def log_leading(self) -> float:
+        """Log evidence of the record by now at the leading scales, with their prior as it is."""
+        return float(log_sum(self._now.log + self.grid.log_prior))
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the record by now."""
+        return log_evidence_of(self.grid.law, self.stiffness.log + self.grid.log_prior)
+
+    def _weighed(self) -> Stiffness:
+        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
+        return found._replace(log=found.log - self._rest)
 
     @property
     def mean_dwell_time(self) -> float:
-        """Mean time since the present elastic response was built up [s]."""
+        """Mean time since the load was built up [s]."""
         return self._loading.age
 
-    def step(self, points: Points, under: Errors | None = None) -> Update:
-        """Take blocks, one at least; return how the last of them compared with its prediction.
+    @property
+    def points(self) -> int:
+        """Points of the press by now."""
+        return self._press.times.size
 
-        `under`: the errors of the filter that it is weighed against; None: its own.
-        """
-        found = self._model.evaluate(points, self._about, self._response)
-        errors = self._error_model.errors(points, self._about, found, self._loading)
-        self._loading = errors.loading
-        if under is not None:
-            errors = errors.under(under)
-        reach = LinearRange(self._model, points, self._about, self._loading.age)
-        scales = self._scales.roughness, self._scales.motion
-        # What was given out stays as it was.
-        self.x, self.P = self.x.copy(), self.P.copy()
-        log_likelihood = 0.0
-        for k in range(points.stresses.size):
-            self._lacking = abs(reach.lacking(k, self.mean))
-            # What the walk gains in variance where so much stress is lacking.
-            stress = self._lacking * float(found.stress[k])
-            gained = max(stress**2 - self._counted, 0.0)
-            self._counted += gained
-            one = slice(k, k + 1)
-            own = np.ascontiguousarray(errors.rows[:, one])
-            own[Row.DRIFT] += gained
-            block = loops.Followed(
-                points.stresses[one],
-                found.stress[one],
-                self._about,
-                self._free,
-                found.jacobian[one],
-            )
-            update = Update(*loops.follow(block, own, *scales, self.x, self.P), errors)
-            log_likelihood += update.log_likelihood
-        return update._replace(log_likelihood=log_likelihood)
+    @property
+    def sums(self) -> tuple[Array, Array]:
+        """The sums a and b of all nodes, (M,) each."""
+        return self._a, self._b
+
+    def stress_ahead(self, times: Array) -> Array:
+        """Return the stress that bends the tool at times ahead: as the model has come to."""
+        middles = self._middles
+        slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
+        return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
+
+    def append(self, press: Press) -> CellInnovation | None:
+        """Take the press with one block more; None: it was not observed, or there is no room."""
+        points = self._press.times.size
+        tail = press.behind(points, self._press.middles.size)
+        row = self._row(tail)
+        self._press = press
+        if row is None or self.is_full:
+            return None
+        n, k = self.count, self._heads + self.grid.law.size
+        x, weights = self._prior @ row.column, self.weights
+        lower = self.lower[:n, :n]
+        across = self.columns[:n] @ x + self._walked(row.clocks)
+        own = solved(lower, across[:, None])[:, 0]
+        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
+        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
+        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
+        shift[0] += float(tail.stresses[0])
+        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
+        self.columns[n], self.count = row.column, n + 1
+        self._clocks = self._clocks.added(row.clocks)
+        self._stresses = [self._stresses[-1], row.stress]
+        self._middles = [self._middles[-1], float(tail.middles[0])]
+        seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+        found = self._innovation(float(tail.stresses[0]), root, seen, white[k:], weights)
+        self._a = self._a + white[k:] ** 2
+        self._b = self._b + seen * white[k:]
+        self._rest = self._rest + 0.5 * seen**2 + math.log(root)
+        self._now = self._weighed()
+        return found
+
+    def _innovation(
+        self, stress: float, root: float, seen: Array, rows: Array, weights: Array
+    ) -> CellInnovation:
+        stiffness = self.stiffness
+        by_g = rows * np.exp(stiffness.log_g)
+        each = root * (seen - by_g)
+        mean = float(weights @ each)
+        spread = root**2 * (1.0 + by_g**2 * stiffness.variance) + (each - mean) ** 2
+        return CellInnovation(stress - mean, mean, float(weights @ spread))
+
+    def _row(self, tail: Press) -> _Row | None:
+        """Take the points of a block; return the row of its cell, None where it has none."""
+        grid, law = self.grid, self.grid.law
+        times = tail.times
+        about = replace(grid.about, stresses=self.stress_ahead(times))
+        drive = law.drive(tail, slice(None), grid.nodes, about, grid.linear.free)
+        driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
+        total, by_rate = np.zeros(driven.shape[1]), np.zeros(RATES.size + 2)
+        points = [] if not tail.middles.size else [int(tail.first[0]), int(tail.last[0])]
+        before = float(self._press.times[-1])
+        for k, own in enumerate(driven):
+            seconds = max(float(times[k]) - before, 1e-9)
+            rise, before = own - self._driven, float(times[k])
+            rate = RATES * seconds
+            gain = -np.expm1(-np.maximum(rate, 1e-12)) / np.maximum(rate, 1e-12)
+            self._left = np.exp(-rate)[:, None] * self._left + np.outer(gain, rise)
+            self._driven = own
+            part = 0.5 * points.count(k)
+            if part:
+                rates = np.vstack([self._left, own, rise / seconds])
+                total += part * np.einsum("rc,rc->c", self._weights, rates)
+                by_rate += part * self._weights[:, 0] * rates[:, 0]
+        if not points:
+            return None
+        k = 1 + law.size
+        column = total[1:k]
+        if law.has_kernel_error:
+            column[KERNEL] = by_rate @ KERNEL_HATS
+        number = len(law.place.presses) - 1
+        law.add_stress_columns(tail, number, column[None])
+        load, gain, steepest = of_cells(tail, drive)
+        clocks = self._clocks_after(tail, float(total[0]), load, gain)
+        noise = grid.covariance.noise_of(
+            tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
+        )
+        return _Row(float(total[0]), column, total[k:], clocks, float(noise[0]))
+
+    def _clocks_after(self, tail: Press, stress: float, load: Array, gain: Array) -> Clocks:
+        """Return how far the walks have gone at a new cell."""
+        covariance = self.grid.covariance
+        seconds = float(tail.middles[0]) - self._middles[-1]
+        self._loading, turned = self._loading.after(float(load[0]) + covariance.floor, seconds)
+        number = len(self.grid.law.place.presses) - 1
+        force, surface = covariance.walked(tail)
+        rough = self._clocks.roughness[-1:] + stress**2 * turned
+        return Clocks(np.array([number]), rough, force, surface, gain * covariance.surface_factor)
+
+    def _walked(self, new: Clocks) -> Array:
+        """Return the covariance of the walks at all cells with those at a new one."""
+        old, scales = self._clocks, self.scales
+        same = old.press == new.press
+        found = same * (scales.roughness**2 * old.roughness + old.force)
+        return np.asarray(found + scales.motion**2 * new.gain * old.gain * old.surface)
+
+    def _walked_to(self, new: Clocks) -> float:
+        found = self.scales.roughness**2 * new.roughness + new.force
+        return float((found + self.scales.motion**2 * new.gain**2 * new.surface)[0])

@@ -1,207 +1,251 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The posterior of a press: its solutions, from starts or from those of a shorter record."""
+"""What the weighted nodes say at one moment: moments, components, parts of the variance."""
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import ndtr
 
-from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.block import Points
-from fden_ros.core.estimation.density import Density, Maximum
-from fden_ros.core.estimation.loops import Evaluation
-from fden_ros.core.estimation.maximum import MOST_STEPS, MaximumSearch
-from fden_ros.core.estimation.mixture import NEGLIGIBLE
-from fden_ros.core.estimation.parts import Parts
-from fden_ros.core.estimation.scales import Scales, WeighedScales, beside
-from fden_ros.core.estimation.solution import Solution, averaged, cost_of, log_evidence
-from fden_ros.core.estimation.unknowns import LAW, ORDER
+from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, splines
+from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.filter import Filter
+from fden_ros.core.estimation.grid import Grid, Stiffness, cholesky, open_of, solved
+from fden_ros.core.estimation.mixture import Component
+from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
 
-#: What numbers do where a state is beyond them: whatever evaluates or solves may raise these.
-UNSOLVABLE = (ArithmeticError, np.linalg.LinAlgError)
+#: Nodes less likely than the best by this factor do not count [1].
+_LEAST = 1e-4
+#: Places at which errors of the law are read off; the loaded part of the curve [1].
+_PLACES, _LOADED = 16, 0.7
+#: Steps of theta for its derivatives, over its standard deviation [1].
+_STEP = 0.1
 
 
-@dataclass(eq=False)
-class Posterior(Density):
-    """The posterior of a press given a record."""
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The nodes of a filter at one moment."""
 
-    grid: Sequence[WeighedScales]
-    #: Standard deviation of an order that is not learned [1]; it counts in the others'.
-    order_sd: float = field(default=0.0, kw_only=True)
+    grid: Grid
+    nodes: Array  #: those that count, (M,)
+    weights: Array  #: they add up to 1, (M,)
+    stiffness: Stiffness  #: of these
+    rows: Array  #: y of these, whitened, less their mean response, (N, M)
+    responses: Array  #: whitened, times G, (N, M)
+    known: Array  #: X P, whitened, (N, k)
+    mean_dwell_time: float  #: mean age of the loading [s]
 
-    def maximum(
-        self,
-        points: Points,
-        start: Array,
-        scales: Scales,
-        most: int = MOST_STEPS,
-        held: int | None = None,
-        known: Evaluation | None = None,
-    ) -> Parts[Maximum]:
-        """Return the maximum that a start leads to: see :class:`MaximumSearch`."""
-        search = MaximumSearch(self, points, scales, held, most)
-        # What overflows between two parts is for whoever goes on between them.
-        parts = search.from_start(start, known)
-        while True:
-            try:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    cost = next(parts)
-            except StopIteration as end:
-                return end.value
-            yield cost
+    @classmethod
+    def of(cls, state: Filter) -> Posterior:
+        """Return the posterior of a filter by now."""
+        grid, weights, n = state.grid, state.weights, state.count
+        top = np.flatnonzero(weights > _LEAST * weights.max())
+        stiffness = Stiffness(*(values[top] for values in state.stiffness))
+        heads = grid.cells.y.shape[1]
+        k = heads + grid.law.size
+        white = state.white[:n]
+        own = white[:, :1] + white[:, 1:heads] @ grid.cells.off[top].T
+        responses = white[:, k + top] * np.exp(stiffness.log_g)
+        share = weights[top] / weights[top].sum()
+        return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
+                   white[:, heads:k], state.mean_dwell_time)  # fmt: skip
 
-    def averaged(
-        self, points: Points, best: Maximum, grid: Sequence[WeighedScales], held: int | None = None
-    ) -> Parts[Solution]:
-        """Return the mixture over a grid of scales: see :func:`averaged`."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            found = averaged(self, points, best, grid, held)
-        yield cost_of(points, grid)
-        return found
-
-    def solutions_in_parts(
-        self, points: Points, starts: Sequence[Array], scales: Scales
-    ) -> Parts[list[Solution]]:
-        """Return the posterior about each maximum that the starts lead to, the best first."""
-        found: list[Solution] = []
-        # Roughly: most starts lead to the same maximum, which is then refined once.
-        seen: list[Maximum] = []
-        maxima = yield from self._maxima(points, starts, scales)
-        for maximum in maxima:
-            if any(_are_one(maximum, other) for other in seen):
-                continue
-            seen.append(maximum)
-            with contextlib.suppress(*UNSOLVABLE):
-                found.append((yield from self._refined(points, maximum)))
-        if not found:
-            raise FloatingPointError("no start leads to a maximum with a finite evidence")
-        return found
-
-    def is_known(self, place: int) -> bool:
-        """Whether the unknown at a place is none."""
-        return bool(np.any(self.known == place))
+    @functools.cached_property
+    def moments(self) -> tuple[Array, Array]:
+        """Mean and covariance of (ln G, theta)."""
+        return _moments(self._values, self.weights, self.stiffness.variance)
 
     @property
-    def moderate_scales(self) -> Scales:
-        """The scales of the grid that are nearest to those of a moderate error, to begin with."""
-
-        def off(scales: Scales) -> float:
-            pairs = zip(scales, (0.1, 0.1, 0.06, 1.0), strict=True)
-            return sum(abs(math.log((a + 1e-4) / (b + 1e-4))) for a, b in pairs)
-
-        return min((weighed.scales for weighed in self.grid), key=off)
+    def _values(self) -> Array:
+        return np.column_stack([self.stiffness.log_g, self.nodes])
 
     @property
-    def log_prior_density(self) -> float:
-        """The log density of the prior at its mean, which no evidence counts.
+    def _order(self) -> list[int]:
+        """Places of (ln G, ln Gn, alpha, contact point) in the moments."""
+        k = self.grid.law.kernels
+        return [0, 1 + k, 1, 2 + k]
 
-        Without what is the same for all priors, and without that of errors with scales.
+    @functools.cached_property
+    def tissue(self) -> tuple[Array, Array]:
+        """Mean and covariance of (ln G, ln Gn, alpha, contact point), with the thickness."""
+        mean, covariance = self.moments
+        at = self._order
+        return mean[at], self._with_thickness(covariance[np.ix_(at, at)])
+
+    def _with_thickness(self, covariance: Array) -> Array:
+        found = covariance.copy()
+        found[:2, :2] += self.grid.law.config.uncertainty.thickness_sd**2
+        return found
+
+    def components(self, most: int) -> tuple[Component, ...]:
+        """Return at most `most`, a power of 2, Gaussians of (ln G, ln Gn, alpha).
+
+        They reproduce mean and covariance. The nodes are halved by weight along the axis in which
+        they are widest.
         """
-        stop = len(self.model.unknowns) if self.has_field_prior else self.model.size
-        open_ = np.setdiff1d(np.arange(stop), self.known)
-        precision = self.belief.precision[np.ix_(open_, open_)]
-        of_scales = logsumexp([weighed.log_prior for weighed in self.grid])
-        return 0.5 * float(np.linalg.slogdet(precision)[1]) - float(of_scales)
+        values = self._values[:, self._order[:3]]
+        groups: list[Indices] = [np.arange(len(values))]
+        unit = np.sqrt(np.maximum(np.diag(self.tissue[1])[:3], 1e-30))
+        while len(groups) < most:
+            groups = [half for group in groups for half in self._halves(values / unit, group)]
+            if all(group.size < 2 for group in groups):
+                break
+        found = []
+        for group in groups:
+            weight = float(self.weights[group].sum())
+            mean, covariance = _moments(
+                values[group], self.weights[group] / weight, self.stiffness.variance[group]
+            )
+            found.append(Component(weight, mean, self._with_thickness(covariance)))
+        return tuple(found)
 
-    def _refined(self, points: Points, best: Maximum) -> Parts[Solution]:
-        """Return the solution about a maximum, at the scales that are best where it begins."""
-        found = yield from self.averaged(points, best, self.grid)
-        scales = found.best_scales
-        if scales != best.scales or not best.is_solved:
-            best = yield from self.maximum(points, best.state, scales, known=best.evaluation)
-            found = yield from self.averaged(points, best, self.grid)
-        return self._considered(points, found)
+    def _halves(self, values: Array, group: Indices) -> list[Indices]:
+        own, weights = values[group], self.weights[group]
+        if group.size < 2:
+            return [group]
+        middle = weights @ own / weights.sum()
+        spread = ((own - middle) * weights[:, None]).T @ (own - middle)
+        place = own @ np.linalg.eigh(spread)[1][:, -1]
+        order = np.argsort(place, kind="stable")
+        reached = np.cumsum(weights[order]) / weights.sum()
+        cut = min(max(int(np.searchsorted(reached, 0.5)) + 1, 1), group.size - 1)
+        return [group[order[:cut]], group[order[cut:]]]
 
-    def tracked_in_parts(self, points: Points, state: Array, before: Solution) -> Parts[Solution]:
-        """Return the posterior from the state of one of a shorter record, in less time.
+    def probability_beyond(self, deepest: float) -> float:
+        """Return P(largest strain > 1/Gn) [1]; `deepest`: the largest indentation [1]."""
+        law = self.grid.law
+        strain, _ = law.strain(deepest - self.nodes[:, -1])
+        reach = np.log(np.maximum(strain, 1e-12)) + self.nodes[:, law.kernels]
+        # Between the nodes it is smooth over the distance of two.
+        width = self.grid.start.box.lower[law.kernels, law.kernels] / math.sqrt(12.0)
+        return float(self.weights @ ndtr(reach / max(width, 1e-9)))
 
-        The maximum is nearly found, and only the scales beside the best one before are weighed;
-        where another is better now, all are.
+    @functools.cached_property
+    def states(self) -> Array:
+        """The unknowns z of each node given all data, (k, M)."""
+        return np.asarray(self.known.T @ self.rows)
+
+    def law_error(self, elapsed: float, deepest: float) -> LawError | None:
+        """Return how far the data bend the law; None: it is said to be exact.
+
+        Parameters
+        ----------
+        elapsed : float
+            Since the touch [s].
+        deepest : float
+            Largest indentation [1].
         """
-        scales = before.best_scales
-        # Other scales are tried after 12 steps; a growing record takes one to five.
-        best = yield from self.maximum(points, state, scales, most=12)
-        near = beside(self.grid, scales)
-        others = before.scales.keys() - {w.scales for w in near}
-        near += tuple(w for w in self.grid if w.scales in others)
-        found = yield from self.averaged(points, best, near)
-        if found.best_scales == scales and best.is_solved:
-            return self._considered(points, found)
-        # Under scales that no longer fit, steps are many and short.
-        return (yield from self._refined(points, best))
+        grid, law = self.grid, self.grid.law
+        if not law.config.uncertainty.characteristic_sd:
+            return None
+        state = self.states @ self.weights
+        off = (self.states - state[:, None]) * np.sqrt(self.weights)
+        covariance = grid.covariance.prior(grid.start.scales) - self.known.T @ self.known
+        covariance += off @ off.T
+        mean, _ = self.tissue
+        # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
+        times = np.geomspace(0.03 * elapsed, elapsed, _PLACES)
+        bend, slope = _relaxation_functionals(float(mean[2]), times)
+        strain = max(float(law.strain(np.array([deepest - mean[3]]))[0][0]), 1e-6)
+        strains = np.linspace(0.1 * strain, strain, _PLACES)
+        curve = splines(strains, law.last_knot)
+        sizes = [
+            _root_mean_square(rows @ state[at], rows @ covariance[at, at] @ rows.T)
+            for at, rows in (
+                (KERNEL, bend),
+                (CURVE, curve),
+                (CURVE, curve[strains >= _LOADED * strain]),
+            )
+        ]
+        along = slope @ self.states[KERNEL]
+        order = self.nodes[:, 0] - along
+        middle = float(self.weights @ order)
+        spread = float(self.weights @ (order - middle) ** 2)
+        spread += float(slope @ covariance[KERNEL, KERNEL] @ slope)
+        spread -= float(self.weights @ (along - self.weights @ along) ** 2)
+        return LawError(*sizes[0], *sizes[1], *sizes[2], middle, math.sqrt(max(spread, 0.0)))
 
-    def given(
-        self,
-        place: int,
-        points: Points,
-        state: Array,
-        scales: Scales,
-        most: int = MOST_STEPS,
-        known: Evaluation | None = None,
-    ) -> Parts[Solution]:
-        """Return the posterior given the unknown at a place, at one place of the grid.
+    @functools.cached_property
+    def rig_conflict(self) -> float:
+        """How far the data say that the rig is from what is stated, in standard deviations [1].
 
-        `most`: steps at most; `known`: the evaluation at the state.
+        Over what the data can tell of it, and at least a tenth of that.
         """
-        best = yield from self.maximum(points, state, scales, most, place, known)
-        return (yield from self.averaged(points, best, (WeighedScales(scales),), place))
+        law, off = self.grid.law, 0.0
+        first = law.size - len(law.slots)
+        for k, (one, _) in enumerate(law.slots, first):
+            if one.has_tails:
+                told = min(max(float(self.known[:, k] @ self.known[:, k]), 0.01), 1.0)
+                off = max(off, abs(float(self.states[k] @ self.weights)) / math.sqrt(told))
+        return off
 
-    def _considered(self, points: Points, found: Solution) -> Solution:
-        """Return a solution with the covariance that the order's own adds (Schmidt and Kalman)."""
-        if not self.order_sd:
-            return found
-        maximum, scales = found.maximum, found.maximum.scales
-        found_with_order = self.model.evaluate(points, maximum.state)
-        about = self.linear(
-            points, found_with_order, maximum.errors, scales.roughness, scales.motion
-        )
-        normal = about.normal.copy()
-        normal[self.known], normal[:, self.known] = 0.0, 0.0
-        by_order = about.normal[:, ORDER].copy()
-        by_order[self.known] = 0.0
-        normal += self.precision(maximum.state, scales)
-        shift = -loops.solve(normal, by_order)
-        shift[ORDER] = 1.0
-        return replace(found, considered=self.order_sd**2 * np.outer(shift, shift))
+    def shares(self) -> dict[str, tuple[float, float]]:
+        """Return the parts of the variances of ln G and ln Gn by source; they add up to these.
 
-    def _maxima(
-        self, points: Points, starts: Sequence[Array], scales: Scales
-    ) -> Parts[list[Maximum]]:
-        """Return the maxima that are likely, best first; they are compared by the same errors."""
-        maxima = []
-        for start in starts:
-            with contextlib.suppress(*UNSOLVABLE):
-                maxima.append((yield from self.maximum(points, start, scales)))
-        for _ in range(len(maxima) if len(maxima) > 1 else 0):
-            best = maxima[0]
-            compared = [replace(m, errors=best.errors) for m in maxima]
-            evidence = np.array([self.evidence(points, m) for m in compared])
-            maxima = [maxima[k] for k in np.argsort(-evidence)]
-            if maxima[0] is best:
-                return maxima[: np.count_nonzero(evidence > evidence.max() - NEGLIGIBLE)]
-        return maxima
+        About the mean an estimate is a line in the data: its variance is the sum of what each part
+        of S makes of it, and of the prior.
+        """
+        grid, law = self.grid, self.grid.law
+        scales = grid.start.scales
+        jacobian, is_open = self._jacobian(), np.append(True, open_of(law))
+        lower = cholesky(grid.covariance.at(scales))
+        white = solved(lower, jacobian[:, is_open])
+        sds = np.append(law.config.prior.linear_stiffness_log_sd, law.coordinates[1])[is_open]
+        covariance = np.linalg.inv(white.T @ white + np.diag(sds**-2.0))
+        gain = covariance @ solved(lower, white, trans=1).T
+        at = [0, int(is_open[: 1 + law.kernels].sum())]
+        parts = {
+            name: (gain @ part @ gain.T).diagonal()
+            for name, part in grid.covariance.parts(scales).items()
+        }
+        own = (covariance**2 / sds**2).T
+        parts["surface"] = own[-1] if is_open[-1] else np.zeros(len(own))
+        parts["prior"] = own[: len(own) - bool(is_open[-1])].sum(axis=0)
+        now = np.diag(self.tissue[1])[:2] - law.config.uncertainty.thickness_sd**2
+        factors = now / np.maximum(covariance.diagonal()[at], 1e-30)
+        found = {name: tuple((factors * part[at]).tolist()) for name, part in parts.items()}
+        thickness = law.config.uncertainty.thickness_sd**2
+        return found | {"thickness": (thickness, thickness)}
 
-    def evidence_beside(self, points: Points, given: Solution, best: Solution) -> float:
-        """Return the log evidence of what holds an unknown, under the errors of the best."""
-        maximum = replace(given.maximum, errors=best.maximum.errors)
-        return log_evidence(self, points, maximum, (WeighedScales(maximum.scales),), given.held)
-
-    def evidence(self, points: Points, maximum: Maximum) -> float:
-        """Return the log evidence at the scales of a maximum, from the linearisation there."""
-        try:
-            return log_evidence(self, points, maximum, (WeighedScales(maximum.scales),))
-        except UNSOLVABLE:
-            return -math.inf
+    def _jacobian(self) -> Array:
+        """Return the derivatives of the cells' stress by (ln G, theta), (N, 1 + d)."""
+        grid, law = self.grid, self.grid.law
+        mean, sds = grid.start.box.mean, grid.start.box.deviations
+        steps = _STEP * np.diag(np.maximum(sds, 1e-9))
+        nodes = np.vstack([mean, mean + steps])
+        responses, _ = law.responses(nodes, grid.about)
+        shift = grid.covariance.shifts()[:, 1:] @ steps
+        g = math.exp(grid.about.log_g)
+        by_theta = (g * (responses[:, 1:] - responses[:, :1]) - shift) / steps.diagonal()
+        return np.column_stack([g * responses[:, 0], by_theta])
 
 
-def _are_one(maximum: Maximum, other: Maximum) -> bool:
-    """Whether two maxima are one: ln G, ln Gn and alpha are all within 0.03."""
-    return bool(np.max(np.abs(maximum.state - other.state)[: len(LAW)]) <= 0.03)
+def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
+    """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
+    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
+    after = weights * left_after(times)
+    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
+    logs = np.log(times)
+    line = np.column_stack([np.ones(times.size), logs - logs.mean()])
+    fit = np.linalg.pinv(line)
+    return errors - line @ fit @ errors, fit[1] @ errors
+
+
+def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:
+    size = math.sqrt(float(np.mean(values**2)))
+    return size, math.sqrt(max(float(np.mean(covariance.diagonal())), 0.0))
+
+
+def _moments(values: Array, weights: Array, variances: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of weighed values, the first of which have variances."""
+    mean = weights @ values
+    off = values - mean
+    covariance = (off * weights[:, None]).T @ off
+    covariance[0, 0] += float(weights @ variances)
+    return mean, covariance

@@ -1,48 +1,153 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""One press in a bounded number of blocks: what the posterior is a function of.
+r"""One press as a bounded number of blocks: samples in, lines of the motion and mean stresses out.
 
-A block of samples is kept as its mean stress and the line of its motion at two points, a standard
-deviation of the times before and after their mean. These two have the mean and the quadratic of
-the block, so a response averaged over them is that of the samples. Blocks that follow one line
-within the noise of the motion have that line: noise of the motion would else count as motion, in
-the stress and in its derivatives, and other blocks of the same press would give another estimate.
-Between all points the motion is linear.
+A block is kept as its mean stress and the line of its motion at two points, a standard deviation
+of the times before and after their mean: these have the mean and the quadratic of the block.
+Blocks that follow one line within the noise of the motion have that line, or noise of the motion
+would count as motion.
 
 - Near the touch every sample is a block of its own.
 - A block ends early where the motion leaves its line.
-- Where the probe rests, or moves slowly, blocks grow with the time since the motion last changed.
+- Where the probe rests, blocks grow with the time since the motion last changed.
+
+The blocks are a function of the samples, not of how these are split into calls.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import loops
-from fden_ros.core.estimation.approach import ApproachMotion
-from fden_ros.core.estimation.block import (
-    BLOCK_TIME,
-    LINE_TOLERANCE,
-    SAME_TIME,
-    TOUCH_TIME,
-    Block,
-    Cell,
-    Points,
-    Sample,
-)
 
-#: A block ends where the motion leaves its line by as many standard deviations of the noise [1],
-#: beside the tolerance; a block goes on along the line of those before within the noise alone.
+#: Duration of a block [s], and how long single samples are kept behind the first [s].
+BLOCK_TIME, TOUCH_TIME = 0.01, 0.05
+#: How far the motion may be off its line beside its noise [1]; times that are the same [s].
+LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
+#: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
 _LINE_DEVIATIONS = 4.0
-#: Blocks of one press [1]: a press of 0.3 of strain has 100 to 500, each further decade of a hold
-#: 50. Where there would be more, each two become one, and all that follow last twice as long.
-MOST_BLOCKS = 600
+#: Blocks of one press [1]; where there would be more, each two become one.
+_MOST_BLOCKS = 600
+#: Above this noise of the indentation a sample alone tells nothing of the touch [1].
+_BLURRED = 5e-5
+
+
+class Block(NamedTuple):
+    """A block as its line, and what was observed."""
+
+    middle: float  #: [s]
+    spread: float  #: standard deviation of its times [s]; 0: one sample
+    indentation: float  #: [1]
+    slope: float  #: [1/s]
+    slope_sd: float  #: of the slope over that of a sample [1/s]; 0: one sample has none
+    step: float  #: between its samples [s]
+    duration: float  #: from its first sample to its last [s]
+    samples: int
+    stress: float  #: [Pa]
+    is_observed: bool
+
+    def along(self, path: Cell) -> Block:
+        """Return the same block on the line of a longer one."""
+        if path.slope_sd == 0.0:
+            return self
+        return self._replace(
+            indentation=path.at(self.middle), slope=path.line()[3], slope_sd=path.slope_sd
+        )
+
+
+@dataclass
+class Cell:
+    """Sums over the samples of a block, times counted from its first."""
+
+    start: float
+    is_observed: bool
+    count: int = 0
+    time: float = 0.0
+    time_square: float = 0.0
+    indentation: float = 0.0
+    product: float = 0.0
+    stress: float = 0.0
+    end: float = 0.0
+
+    def add(self, time: float, indentation: float, stress: float) -> None:
+        """Take a sample."""
+        t = time - self.start
+        self.count += 1
+        self.time += t
+        self.time_square += t * t
+        self.indentation += indentation
+        self.product += t * indentation
+        self.stress += stress
+        self.end = time
+
+    def merged(self, other: Cell) -> Cell:
+        """Return the block of this and the next."""
+        shift = other.start - self.start
+        square = self.time_square + other.time_square + 2.0 * shift * other.time
+        return Cell(
+            self.start,
+            self.is_observed,
+            self.count + other.count,
+            self.time + other.time + other.count * shift,
+            square + other.count * shift**2,
+            self.indentation + other.indentation,
+            self.product + other.product + shift * other.indentation,
+            self.stress + other.stress,
+            other.end,
+        )
+
+    def line(self) -> tuple[float, float, float, float]:
+        """Return mean time, its standard deviation, mean indentation, and its slope."""
+        mean = self.time / self.count
+        variance = max(self.time_square / self.count - mean**2, 0.0)
+        indentation = self.indentation / self.count
+        if self.count == 1 or variance == 0.0:
+            return self.start + mean, 0.0, indentation, 0.0
+        slope = (self.product / self.count - mean * indentation) / variance
+        return self.start + mean, math.sqrt(variance), indentation, slope
+
+    @property
+    def slope_sd(self) -> float:
+        """Standard deviation of the slope over that of a sample [1/s]; 0: one sample has none."""
+        spread = self.line()[1]
+        return 1.0 / (spread * math.sqrt(self.count)) if spread > 0.0 else 0.0
+
+    @property
+    def step(self) -> float:
+        """Time between its samples [s]; 0: it is one sample."""
+        return (self.end - self.start) / max(self.count - 1, 1)
+
+    def block(self) -> Block:
+        """Return what becomes of it in arrays."""
+        return Block(
+            *self.line(), self.slope_sd, self.step, self.end - self.start, self.count,
+            self.stress / self.count, self.is_observed,
+        )  # fmt: skip
+
+    def at(self, time: float) -> float:
+        """Return the indentation of the line at a time."""
+        mean, _, indentation, slope = self.line()
+        return indentation + slope * (time - mean)
+
+    def is_along(self, path: Cell, most: float) -> bool:
+        """Whether it goes on along the line of a longer one, but for noise of `most` [1]."""
+        begun, width, _, path_slope = path.line()
+        middle, spread, indentation, slope = self.line()
+        if width == 0.0:
+            return self.count == 1
+        place = (middle - begun) / width
+        mean_sd = math.sqrt(1.0 / self.count + (1.0 + place**2) / path.count)
+        if abs(indentation - path.at(middle)) > most * mean_sd:
+            return False
+        if spread == 0.0:
+            return True
+        return abs(slope - path_slope) <= most * math.hypot(self.slope_sd, path.slope_sd)
 
 
 class Record:
@@ -51,86 +156,60 @@ class Record:
     Parameters
     ----------
     noise_sd : float
-        Standard deviation of the compression of a sample [1].
+        Standard deviation of the indentation of a sample [1].
     reach : float
-        How far before its nominal place the touch may be, as compression [1]; 0: it is known.
+        How far before its nominal place the touch may be, as indentation [1]; 0: it is known.
     is_at_rest : bool
-        That place is where the compression is 0; else the tissue may be met first where the
+        That place is where the indentation is 0; else the tissue may be met first where the
         record begins.
-    delay : float
-        How late or early the motion may be, so that the stress changes where the motion does not
-        [s]; 0: blocks may last where it rests.
     """
 
-    def __init__(
-        self,
-        noise_sd: float = 0.0,
-        reach: float = 0.0,
-        *,
-        is_at_rest: bool = False,
-        delay: float = 0.0,
-    ) -> None:
-        self.noise_sd, self._delay = noise_sd, delay
-        self._approach = ApproachMotion(reach, is_at_rest=is_at_rest)
-        self._ahead: list[Cell] = []  # the motion since the newest sample
+    def __init__(self, noise_sd: float, reach: float = 0.0, *, is_at_rest: bool = False) -> None:
+        self.noise_sd = noise_sd
+        self.approach = Approach(reach, is_at_rest=is_at_rest)
         self._cells: list[Cell] = []
-        self._rows: list[Block] = []  # of the same; on their path but for those of the newest
+        self._blocks: list[Block] = []  # of the same, on their path
         self._path: Cell | None = None  # the newest line that blocks have followed
         self._path_begin = 0  # its first block
         self._open: Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
         self._block_time = BLOCK_TIME
-        self.max_compression = -math.inf
+        self.deepest = -math.inf  #: largest indentation observed [1]
 
     @property
-    def end(self) -> float:
-        """Time of the newest sample [s]."""
-        return self._open.end if self._open is not None else 0.0
+    def blocks(self) -> list[Block]:
+        """The complete blocks, with the motion before the first."""
+        before = [cell.block() for cell in self.approach.cells(self._cells)]
+        return before + self._on_path(self._path)
 
-    @property
-    def size(self) -> int:
-        """Blocks so far."""
-        return len(self._cells) + (self._open is not None)
+    def add(
+        self, time: float, indentation: float, stress: float, *, is_observed: bool
+    ) -> list[Block]:
+        """Take a sample; return the blocks that this completes.
 
-    def has_slowed(self, exponent: float) -> bool:
-        """Whether the strain's rate has fallen to half, longer ago than the delay may be.
-
-        A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
-        compression to the power `exponent`.
+        `is_observed`: its stress counts, not only its motion.
         """
-        n = 5  # blocks over which a speed is above the noise of the motion: 50 ms
-        if len(self._rows) <= n:
-            return False
-        times = np.array([row.middle for row in self._rows])
-        strains = np.maximum([row.compression for row in self._rows], 0.0) ** exponent
-        speeds = (strains[n:] - strains[:-n]) / (times[n:] - times[:-n])
-        is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
-        is_seen = times[n:] - times[0] > TOUCH_TIME
-        slow = np.flatnonzero(is_slow & is_seen)
-        return slow.size > 0 and bool(self.end - times[n:][slow[0]] >= self._delay)
-
-    def add(self, time: float, compression: float, stress: float, *, is_observed: bool) -> None:
-        """Take a sample; `is_observed`: its stress counts, not only its motion."""
         if self._start is None:
             self._start = self._changed = time
+        done: list[Block] = []
         if self._open is not None and self._is_complete(
-            self._open, time, compression, is_observed
+            self._open, time, indentation, is_observed
         ):
-            self._close()
+            done = self.close()
         if self._open is None:
             self._open = Cell(time, is_observed)
-        self._open.add(time, compression, stress)
+        self._open.add(time, indentation, stress)
         if is_observed:
-            self.max_compression = max(self.max_compression, compression)
+            self.deepest = max(self.deepest, indentation)
+        return done
 
-    def _is_complete(self, cell: Cell, time: float, compression: float, observed: bool) -> bool:
+    def _is_complete(self, cell: Cell, time: float, indentation: float, observed: bool) -> bool:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
-        # Above a noise of 5e-5 a sample alone tells nothing of the touch.
-        if cell.start - self._start < (TOUCH_TIME if self.noise_sd < 5e-5 else 0.0):
-            # Above 1 kHz the samples there are blocks of this time [s].
+        if cell.start - self._start < (TOUCH_TIME if self.noise_sd < _BLURRED else 0.0):
+            # Above 1 kHz the samples there are blocks of 1 ms.
             return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
@@ -139,48 +218,40 @@ class Record:
         if cell.count < 2:
             return False
         spread = math.sqrt(1.0 + 4.0 / cell.count)
-        return abs(compression - cell.at(time)) > self._tolerance(spread)
+        most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
+        return abs(indentation - cell.at(time)) > most
 
-    def _tolerance(self, spread: float) -> float:
-        return LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
-
-    def _close(self) -> None:
-        path, longer = self._path, self._newest_path()
+    def close(self) -> list[Block]:
+        """End the open block; return what this completes."""
         cell, self._open = self._open, None
-        assert cell is not None
+        if cell is None:
+            return []
+        path, longer, done = self._path, None, []
+        if path is not None and cell.is_along(path, _LINE_DEVIATIONS * self.noise_sd):
+            longer = path.merged(cell)
+        done.append(cell.block() if longer is None else cell.block().along(longer))
         if self._cells and self._joins(self._cells[-1], cell):
             cell = self._cells.pop().merged(cell)
-            self._rows.pop()
-        elif path is not None and longer is None:
-            end = self._end_of(path)
-            if end is not None:
-                self._cells.append(end)
-                self._rows.append(end.row())
+            self._blocks.pop()
+        elif path is not None and longer is None and (end := self._end_of(path)) is not None:
+            self._cells.append(end)
+            self._blocks.append(end.block())
+            done.insert(0, self._blocks[-1])
         if longer is None:
-            self._rows = self._rows_on_path(path)
+            self._blocks = self._on_path(path)
             self._path_begin = len(self._cells)
         self._path = longer or cell
         self._cells.append(cell)
-        self._rows.append(cell.row())
-        if len(self._cells) >= MOST_BLOCKS:
+        self._blocks.append(cell.block())
+        if len(self._cells) >= _MOST_BLOCKS:
             self._halve()
+        return done
 
-    def _halve(self) -> None:
-        """Make each two blocks one, but for those near the touch."""
-        assert self._start is not None
-        self._block_time *= 2.0
-        halved: list[Cell] = []
-        is_open = False  # the newest of them waits for another
-        for cell in self._cells:
-            is_near = cell.start - self._start < TOUCH_TIME
-            if is_open and halved[-1].is_observed == cell.is_observed and not is_near:
-                halved[-1], is_open = halved[-1].merged(cell), False
-            else:
-                halved.append(cell)
-                is_open = not is_near
-        self._cells, self._path = halved, halved[-1]
-        self._rows = [cell.row() for cell in halved]
-        self._path_begin = len(halved) - 1
+    def _on_path(self, path: Cell | None) -> list[Block]:
+        if path is None:
+            return self._blocks
+        newest = [block.along(path) for block in self._blocks[self._path_begin :]]
+        return self._blocks[: self._path_begin] + newest
 
     def _end_of(self, path: Cell) -> Cell | None:
         """Return the last step of the motion along a path; None: the last block has it nearly.
@@ -196,145 +267,99 @@ class Record:
             end.add(time, path.at(time), 0.0)
         return end
 
-    def _rows_on_path(self, path: Cell | None) -> list[Block]:
-        """Return all rows, those of the newest blocks on a path; None: there is no block."""
-        if path is None:
-            return []
-        newest = [row.along(path) for row in self._rows[self._path_begin :]]
-        return self._rows[: self._path_begin] + newest
-
-    def _newest_path(self) -> Cell | None:
-        """Return the path with the samples since the last block, if they go on along it."""
-        if (
-            self._path is None
-            or self._open is None
-            or not self._open.is_along(self._path, _LINE_DEVIATIONS * self.noise_sd)
-        ):
-            return None
-        return self._path.merged(self._open)
-
     def _joins(self, last: Cell, cell: Cell) -> bool:
         """Whether a block goes on with the next; takes note where the motion changes."""
         assert self._start is not None
-        middle = cell.line()[0]
-        off = abs(cell.compression / cell.count - last.at(middle))
+        off = abs(cell.indentation / cell.count - last.at(cell.line()[0]))
         spread = math.sqrt(1.0 / cell.count + 4.0 / last.count)
         # With 1.5e-5 noise of 0.1 um would move estimates by half a standard deviation.
         if off > 2e-4 + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
-        if (
-            self._delay
-            or last.is_observed != cell.is_observed
-            or last.start - self._start < TOUCH_TIME
-        ):
+        if last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
             return False
-        change = abs(cell.compression / cell.count - last.compression / last.count)
+        change = abs(cell.indentation / cell.count - last.indentation / last.count)
         # It may last for a twentieth of the time since the motion changed.
         return (
             change < 5e-4 + _LINE_DEVIATIONS * self.noise_sd * spread
             and cell.end - last.start <= 0.05 * (cell.end - self._changed) + SAME_TIME
         )
 
-    def points(self) -> Points:
-        """Return the record so far as arrays."""
-        opened = [] if self._open is None else [self._open]
-        path = self._newest_path()
-        rows = self._rows_on_path(path or self._path)
-        if path is None and self._path is not None and opened:
-            opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
-        rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
-        rows = [cell.row() for cell in self._approach.cells(self._cells + opened)] + rows
-        found = _points(rows, self.noise_sd)
-        return found if not self._delay else replace(found, path=self._path_of(rows))
+    def _halve(self) -> None:
+        """Make each two blocks one, but for those near the touch."""
+        assert self._start is not None
+        self._block_time *= 2.0
+        halved: list[Cell] = []
+        is_open = False  # the newest of them waits for another
+        for cell in self._cells:
+            is_near = cell.start - self._start < TOUCH_TIME
+            if is_open and halved[-1].is_observed == cell.is_observed and not is_near:
+                halved[-1], is_open = halved[-1].merged(cell), False
+            else:
+                halved.append(cell)
+                is_open = not is_near
+        self._cells, self._path = halved, halved[-1]
+        self._blocks = [cell.block() for cell in halved]
+        self._path_begin = len(halved) - 1
 
-    def see_ahead(self, samples: Sequence[Sample]) -> None:
-        """Take the motion since the newest sample, whose stress does not count yet."""
-        self._ahead = []
-        for sample in samples:
-            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - SAME_TIME:
-                self._ahead.append(Cell(sample.time, False))
-            self._ahead[-1].add(*sample)
 
-    def _path_of(self, rows: Sequence[Block]) -> tuple[Array, Array, Array]:
-        """Return the motion of blocks, and of what is ahead."""
-        ahead = [cell.row() for cell in self._ahead if cell.start > rows[-1].middle]
-        found = _points([*rows, *ahead], self.noise_sd)
-        return found.times, found.compressions, found.speeds
+class Approach:
+    """The motion before the first block; the parameters are those of :class:`Record`."""
 
-    def see_way(self, way: Array) -> None:
-        """Take the way of the probe before the first sample.
+    def __init__(self, reach: float, *, is_at_rest: bool) -> None:
+        self._reach, self._is_at_rest = reach, is_at_rest
+        self._seen: list[Cell] = []
 
-        `way`: times [s], compressions [1] and stresses [Pa], (3, n).
+    def add(self, motion: Array, tolerance: float) -> None:
+        """Take the motion before the first sample, as far as the touch may be before that.
+
+        Parameters
+        ----------
+        motion : ndarray, shape (3, n)
+            Times [s], indentations [1] and stresses [Pa].
+        tolerance : float
+            Of the indentation [1].
         """
-        self._approach.see_way(way, self._tolerance(1.0))
+        if not motion.size or not (self._reach or self._is_at_rest):
+            return
+        nominal = 0.0 if self._is_at_rest else motion[1, -1]
+        behind = np.flatnonzero(motion[1] < nominal - self._reach + tolerance)
+        first = int(behind[-1]) if behind.size else int(np.argmin(motion[1]))
+        times, indentations, _ = own = motion[:, first:]
+        # At most 12 parts as long as each other, in time and in the way forward together.
+        forward = np.maximum.accumulate(indentations)
+        gone = (times - times[0]) / max(np.ptp(times), SAME_TIME)
+        gone += (forward - forward[0]) / max(np.ptp(forward), LINE_TOLERANCE)
+        places = np.searchsorted(gone, np.linspace(0.0, gone[-1], 13)[1:-1])
+        for part in np.split(own, np.unique(places), axis=1):
+            if part.size:
+                cell = Cell(float(part[0, 0]), True)
+                for sample in part.T.tolist():
+                    cell.add(*sample)
+                self._seen.append(cell)
 
-    def blocks(self, samples: Sequence[Sample]) -> list[Block]:
-        """Return the newest samples as a block by itself, or as two where the motion changes."""
-        path, begun = self._newest_path(), self._open
-        if path is not None or begun is None:
-            return [_block_of(samples, path)]
-        before = [sample for sample in samples if sample.time < begun.start]
-        after = samples[len(before) :]
-        return [
-            _block_of(part, own) for part, own in ((before, self._path), (after, None)) if part
-        ]
+    def cells(self, cells: Sequence[Cell]) -> list[Cell]:
+        """Return the motion before the first block where the touch may have been before that one.
 
-    def points_after(self, blocks: Sequence[Block], before: float) -> Points:
-        """Return blocks as a record that goes on after the time `before` [s]."""
-        found = _points(blocks, self.noise_sd, before)
-        if not self._delay:
-            return found
-        rows = self._rows_on_path(self._newest_path() or self._path)
-        rows += [self._open.row()] if self._open is not None else []
-        return replace(found, path=self._path_of(rows))
-
-
-def _block_of(samples: Sequence[Sample], path: Cell | None) -> Block:
-    """Return samples as a block, on a path if that goes back to its first."""
-    cell = Cell(samples[0].time, True)
-    for sample in samples:
-        cell.add(sample.time, sample.compression, sample.stress)
-    return cell.row() if path is None or cell.start < path.start else cell.row().along(path)
-
-
-def _points(rows: Sequence[Block], noise_sd: float, before: float | None = None) -> Points:
-    """Return blocks as arrays; `before`: the time from which they go on."""
-    (
-        middle, spread, compression, slope, slope_sd, step, duration, count, stress, seen,
-    ) = np.array(rows).T  # fmt: skip
-    is_line = spread > 0.0
-    block = np.repeat(np.arange(len(rows)), 1 + is_line)
-    last = np.cumsum(1 + is_line) - 1
-    first = last - is_line
-    offsets = -spread[block]
-    offsets[last] = spread
-    times = middle[block] + offsets
-    motion = compression[block] + slope[block] * offsets
-    elapsed = np.diff(times, prepend=times[0] if before is None else before)
-    bends = np.zeros_like(times)
-    # A slope counts by half at three of its standard deviations: friction and delay would else
-    # meet the noise of the motion in a hold, which makes them less than they are.
-    square, noise = slope**2, (3.0 * noise_sd * slope_sd) ** 2
-    speeds = (slope * square / np.where(square > 0.0, square + noise, 1.0))[block]
-    if times.size > 2:
-        bends[1:-1] = np.abs(np.diff(np.diff(motion) / np.diff(times)))
-        speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
-    # A sample alone knows its step from its neighbours.
-    beside, own = np.maximum(elapsed, np.append(elapsed[1:], 0.0)), step[block]
-    observed = np.flatnonzero(seen)
-    return Points(
-        times=times,
-        elapsed=elapsed,
-        compressions=motion,
-        speeds=speeds,
-        bends=bends,
-        steps=np.where(own > 0.0, np.minimum(own, beside), beside),
-        first=first[observed],
-        last=last[observed],
-        middles=middle[observed],
-        durations=(duration + step)[observed],
-        counts=count[observed],
-        stresses=stress[observed],
-        moments=loops.moments(elapsed),
-    )
+        The probe comes as it goes on, along the line of the blocks near the touch; where that is
+        longer than these, as it was seen to come.
+        """
+        if not self._reach and not self._is_at_rest:
+            return []
+        near = [c for k, c in enumerate(cells) if k < 3 or c.start - cells[0].start < TOUCH_TIME]
+        if len(near) < 2:
+            return []
+        lines = np.array([cell.line()[::2] for cell in near])
+        times, indentations = lines[:, 0] - lines[0, 0], lines[:, 1]
+        speed, first = np.polyfit(times, indentations, 1).tolist()
+        # Tissue that has not recovered from an earlier press is met where the record begins.
+        gone = first if self._is_at_rest else min(first, 0.0)
+        # A probe is taken to have come along its line for at most 1 s.
+        missing = min(gone + self._reach, 1.0 * speed)
+        if missing <= 0.0:
+            return []
+        if self._seen and missing > TOUCH_TIME * speed:
+            return self._seen
+        before = Cell(float(lines[0, 0]) - missing / speed, False)
+        before.add(before.start, first - missing, 0.0)
+        return [before]

@@ -25,7 +25,6 @@ from scipy.special import digamma
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
     EDGE,
-    NO_CHANCE,
     Estimate,
     EstimatorConfig,
     ParameterSet,
@@ -39,6 +38,8 @@ from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexMod
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
+#: What lies beyond as many standard deviations of a normal is not by chance [1].
+_NO_CHANCE = 5.0
 #: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
 #: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
@@ -79,7 +80,7 @@ def palpated(
 
     `angular_frequency` and `amplitude` are of the palpation [rad/s, m], `time_scale` is tau [s].
     """
-    if stiffness.value.real <= NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
+    if stiffness.value.real <= _NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
     value, size, prior = stiffness.value, abs(stiffness.value), config.prior
@@ -232,7 +233,7 @@ class PalpationMeter:
         found = palpated(whole, frequency, amplitude, self._time_scale, self._config, samples)
         sd = math.sqrt(max(float(whole.covariance[0, 0]), 0.0))
         # By more than 90 degrees, or too far for a relaxation.
-        leads = value.real < -NO_CHANCE * sd if found is None else found.apparent is None
+        leads = value.real < -_NO_CHANCE * sd if found is None else found.apparent is None
         if leads and value.imag > 0.0:
             self.out_of_step = self.out_of_step or _sentence(value, frequency)
         return found

@@ -26,9 +26,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import Uncertainty
-from fden_ros.core.quadrature.cells import Press
-from fden_ros.core.quadrature.discrepancy import (
+from fden_ros.core.estimation.cells import Press
+from fden_ros.core.estimation.discrepancy import (
     CURVE,
     KERNEL,
     RIG,
@@ -36,7 +35,8 @@ from fden_ros.core.quadrature.discrepancy import (
     curve_root,
     kernel_root,
 )
-from fden_ros.core.quadrature.law import Expansion, Law, Linear
+from fden_ros.core.estimation.estimator_config import Uncertainty
+from fden_ros.core.estimation.law import Expansion, Law, Linear
 
 #: An age of the loading below this counts as none [s].
 _YOUNG = 0.01

@@ -13,22 +13,22 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered, moments_of
+from fden_ros.core.estimation.covariance import Noise
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.face import CellInnovation, Touch
+from fden_ros.core.estimation.filter import Filter
+from fden_ros.core.estimation.grid import begun, continued, laid
+from fden_ros.core.estimation.law import Law
+from fden_ros.core.estimation.nuisance import rig_of
+from fden_ros.core.estimation.posterior import Posterior
+from fden_ros.core.estimation.record import LINE_TOLERANCE, Block, Record
+from fden_ros.core.estimation.rival import Rival
 from fden_ros.core.law import Geometry
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered, moments_of
-from fden_ros.core.quadrature.covariance import Noise
-from fden_ros.core.quadrature.filter import Filter, Innovation
-from fden_ros.core.quadrature.grid import begun, continued, laid
-from fden_ros.core.quadrature.law import Law
-from fden_ros.core.quadrature.nuisance import rig_of
-from fden_ros.core.quadrature.posterior import Posterior
-from fden_ros.core.quadrature.record import LINE_TOLERANCE, Block, Record
-from fden_ros.core.quadrature.rival import Rival
 
 #: Blocks and time [s] from the touch that the first grid of a press needs.
 _LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
@@ -49,16 +49,6 @@ _GATE, _GATE_BLOCKS = 4.0, 3
 _SLOW = 0.5
 
 
-class Touch(NamedTuple):
-    """What is known at a touch."""
-
-    bias_sd: float  #: of the stress's zero [Pa]
-    drift_sd: float  #: of its slope [Pa/s]
-    #: Motion before the first sample: times, counted from that [s], indentations [1] and stresses
-    #: [Pa], (3, n).
-    approach: Array
-
-
 @dataclass(frozen=True)
 class Setting:
     """What is known of a place before the first touch."""
@@ -77,7 +67,7 @@ class PlacePosterior:
     ----------
     filter : Filter or None
         The weighted nodes; None: there are none yet.
-    innovation : Innovation or None
+    innovation : CellInnovation or None
         Of the newest block.
     is_changed : bool
         The tissue under the probe has changed since the touch.
@@ -86,7 +76,7 @@ class PlacePosterior:
     def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
         self.setting = setting
         self.filter: Filter | None = None
-        self.innovation: Innovation | None = None
+        self.innovation: CellInnovation | None = None
         self.deepest = -math.inf
         self.now = 0.0
         self.noise_sd = noise_sd
@@ -107,6 +97,11 @@ class PlacePosterior:
     def presses(self) -> int:
         """Presses so far, with the present one."""
         return len(self._ended) + (self._record is not None)
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the newest block is beyond the gate."""
+        return self._beyond > 0
 
     @property
     def elapsed(self) -> float:
@@ -184,7 +179,7 @@ class PlacePosterior:
             assert self.filter is not None
             self._rival.lay(self.filter)
 
-    def _see_innovation(self, found: Innovation) -> None:
+    def _see_innovation(self, found: CellInnovation) -> None:
         """Take an innovation: some beyond the gate in a row, and the tissue has changed.
 
         Or it is another one: a grid that is laid anew would take it for an error of the law.

@@ -24,17 +24,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation import EstimatorConfig
-from fden_ros.core.law import (
-    HIGHEST_ORDER,
-    LOWEST_ORDER,
-    MAX_EXPONENT,
-    RATES,
-    SPACING,
-    Geometry,
-)
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, moments_of
-from fden_ros.core.quadrature.discrepancy import (
+from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, moments_of
+from fden_ros.core.estimation.discrepancy import (
     CURVE,
     KERNEL,
     KERNEL_HATS,
@@ -43,7 +34,16 @@ from fden_ros.core.quadrature.discrepancy import (
     last_knot,
     splines,
 )
-from fden_ros.core.quadrature.nuisance import Motion, Nuisance, Rig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.nuisance import Motion, Nuisance, Rig
+from fden_ros.core.law import (
+    HIGHEST_ORDER,
+    LOWEST_ORDER,
+    MAX_EXPONENT,
+    RATES,
+    SPACING,
+    Geometry,
+)
 
 #: States beyond as many standard deviations count as there [1].
 _MOST = 8.0

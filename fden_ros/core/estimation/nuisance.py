@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import EstimatorConfig
+from fden_ros.core.estimation.discrepancy import STRAIN_FLOOR
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law import Geometry
-from fden_ros.core.quadrature.discrepancy import STRAIN_FLOOR
 
 #: Speed at which friction has half of its square [m/s]: below is a hold.
 _FRICTION_SPEED = 5e-4

@@ -23,8 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation.record import Block
 from fden_ros.core.law import RATE_COUNT, RATES
-from fden_ros.core.quadrature.record import Block
 
 #: Rates of the creep of a free surface: those of the relaxation, and one for all that is slower.
 CREEP_RATES: Array = np.append(RATES, 0.0)

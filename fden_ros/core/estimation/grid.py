@@ -28,9 +28,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.quadrature.covariance import Covariance, Noise, Scales, near, scales_of
-from fden_ros.core.quadrature.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
-from fden_ros.core.quadrature.law import Expansion, Law, Linear
+from fden_ros.core.estimation.covariance import Covariance, Noise, Scales, near, scales_of
+from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
+from fden_ros.core.estimation.law import Expansion, Law, Linear
 
 #: A grid reaches as many standard deviations [1].
 REACH = 3.0

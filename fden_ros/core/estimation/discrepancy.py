@@ -104,3 +104,11 @@ def curve_root(nonlinear_stiffness: float, last: float) -> Array:
     places = np.log(phi(spline_places(last), 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
     at_zero = splines(np.array([_REFERENCE_STRAIN]), last)[0]
     return _root(places, _CURVE_LENGTH, at_zero)
+
+
+def kernel_change(kernel_sd: float, way: float) -> float:
+    """Return the variance by which the kernel's error changes over a way of ln t [1].
+
+    `kernel_sd`: the relative standard deviation of the kernel [1].
+    """
+    return 2.0 * kernel_sd**2 * -math.expm1(-way / _KERNEL_LENGTH)

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from scipy.special import expit
 
-from fden_ros.core.quadrature.filter import Filter
-from fden_ros.core.quadrature.grid import Grid, begun, laid, log_evidence_of, prior_of_log_g
-from fden_ros.core.quadrature.law import Plateau
+from fden_ros.core.estimation.filter import Filter
+from fden_ros.core.estimation.grid import Grid, begun, laid, log_evidence_of, prior_of_log_g
+from fden_ros.core.estimation.law import Plateau
 
 #: It is asked for anew where the time of the press has grown by this factor [1].
 _GROWTH = 1.5
