@@ -19,6 +19,7 @@ from types import ModuleType
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
+from fden_ros.commands.options import OPTIONS, add_options
 from fden_ros.errors import Hint, InputError, without_ros
 
 #: Two interrupts within this time are one [s].
@@ -69,7 +70,9 @@ def build_parser() -> argparse.ArgumentParser:
             epilog=module.EPILOG + _exit_codes(module),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(command)
+        add_options(command, OPTIONS.get(name, ()))
+        if name == "benchmark":
+            module.add_arguments(command)
         command.set_defaults(parser=command, run=module.run)
     return parser
 

@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
-from pathlib import Path
 
-from fden_ros.commands.command import count
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.inputs import parameters_of, selection_of
 
 DESCRIPTION = """\
 Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
@@ -34,38 +31,6 @@ EXIT_CODES = {
     0: "done (a broken bag is a row, and no contact is none)",
     1: "nothing could be done",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument(
-        "places",
-        nargs="+",
-        metavar="DIR_OR_GLOB",
-        help="folders of bags, bags, tables, or patterns; paths or URLs of s3, https, sftp",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the table, CSV; FILE.parquet: as Parquet too, next to FILE.csv",
-    )
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers",
-        type=count,
-        metavar="N",
-        default=len(os.sched_getaffinity(0)),
-        help="processes of this machine (default: one a processor core)",
-    )
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="the workers of a cluster of Dask: tcp://HOST:8786, or the scheduler's file",
-    )
-    add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.commands.checkout import checkout, module
-from fden_ros.commands.command import Parser, add_json
+from fden_ros.commands.command import Parser
+from fden_ros.commands.options import JSON, add_options
 
 DESCRIPTION = """\
 Measure how good the package is, and hold the figures against their goals. Each benchmark prints
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         one.set_defaults(parser=one)
         words = "less than a minute or two; goals may stay undecided"
         one.add_argument("--quick", action="store_true", help=words)
-        add_json(one)
+        add_options(one, [JSON])
         words = f"folder of {name}.json (default: results)"
         one.add_argument(
             "-o", "--output", type=Path, default=Path("results"), metavar="DIR", help=words

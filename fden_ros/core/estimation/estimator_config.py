@@ -209,6 +209,5 @@ class EstimatorConfig:
     def is_order_given(self) -> bool:
         """Whether alpha is a setting and not learned."""
         return (
-            (not self.learns_fractional_order and self.kind is EstimatorKind.GRID)
-            or self.prior.fractional_order_sd == 0.0
-        )
+            not self.learns_fractional_order and self.kind is EstimatorKind.GRID
+        ) or self.prior.fractional_order_sd == 0.0
