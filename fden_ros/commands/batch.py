@@ -26,7 +26,7 @@ examples:
 Interrupted (Ctrl-C), it goes on from there the next time.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {
     0: "done (a broken bag is a row, and no contact is none)",
     1: "nothing could be done",
@@ -52,19 +52,24 @@ def run(args: argparse.Namespace) -> int:
             contacts += rows[0]["contacts"]
             if rows[0]["error"] is not None:
                 broken += 1
-                _tell_broken(rows[0]["bag"], rows[0]["error"])
+                bag, error = rows[0]["bag"], rows[0]["error"]
+                # The reason often begins with the path.
+                _say(f"broken: {error if bag in error else f'{bag}: {error}'}")
             show(done)
 
         try:
             if args.scheduler and left:
-                made = workers.cluster(args.scheduler, str(left[0]), _tell)
+                made = workers.cluster(args.scheduler, str(left[0]), _say)
             else:
                 made = workers.local(args.workers)
             with made as pool:
                 batch.run(left, work, results, pool, see)
         except KeyboardInterrupt:
             count_done = len(bags) - len(left) + done
-            _tell_interrupted(f"{args.output} has {count_done} of {len(bags)} bags")
+            _say(
+                f"interrupted: {args.output} has {count_done} of {len(bags)} bags; the same "
+                "command does the others"
+            )
             raise
         finally:
             results.close()
@@ -75,14 +80,5 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _tell_interrupted(what: str) -> None:
-    _tell(f"interrupted: {what}; the same command does the others")
-
-
-def _tell_broken(bag: str, error: str) -> None:
-    # The reason often begins with the path.
-    _tell(f"broken: {error if bag in error else f'{bag}: {error}'}")
-
-
-def _tell(line: str) -> None:
+def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)

@@ -26,10 +26,10 @@ examples:
   fden benchmark robots --quick --json | jq '.goals[] | select(.met == false)'
   fden benchmark robots --help              arguments of this benchmark
 
-A goal is met, missed, or undecided where the run was too short to tell.
+A goal is met, missed, or undecided where the run was too short.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {0: "measured, whatever came out"}
 
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _BenchmarkParser(Parser):
-    """Parser of one benchmark, which imports it only when it is asked for."""
+    """Parser of one benchmark, which imports it only when it is run."""
 
     benchmark = ""
 

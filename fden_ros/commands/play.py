@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-DESCRIPTION = "Publish a bag on live topics; beside a robot use ros2 bag play.\n"
+DESCRIPTION = "Publish a bag on live topics; on a robot use ros2 bag play.\n"
 EPILOG = "examples:\n  fden play ramp_bag --rate 5 --remap /force:=/ft/wrench\n"
 
 

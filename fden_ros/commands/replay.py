@@ -44,7 +44,7 @@ examples:
 The configuration is the identifier node's own parameter file.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {
     0: "a contact is converged, or N/m is known",
     _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
