@@ -188,6 +188,7 @@ def _survey(args: argparse.Namespace, readings: Sequence[Reading]) -> Survey:
             rigid,
             status.update,
             one_place=args.one_place,
+            units=readings[0].units,
         )
 
 
@@ -217,10 +218,6 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
         if missing:
             names = ", ".join(finding.subject for finding in missing)
             console.print(f"cannot tell: {names}; the file says what would")
-        for one in missing:
-            if one.proposed:
-                said = f"perhaps {value_text(one)} {one.evidence}"
-                console.print(escape(f"{one.subject}: {said}"))
         return
     rows = ((one.subject, escape(value_text(one)), escape(one.evidence)) for one in stated)
     console.print(table_of({"found": 20, "": 1, "by": 1}, rows))

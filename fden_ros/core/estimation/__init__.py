@@ -42,7 +42,6 @@ from fden_ros.core.estimation.mixture import Component, moments, positive
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.smooth_errors import kernel_change
-from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 from fden_ros.core.estimation.whiteness import NO_CHANCE
 
 if TYPE_CHECKING:
@@ -52,7 +51,6 @@ __all__ = [
     "EDGE",
     "KERNEL_SHARE",
     "KEYS",
-    "LINEAR_DELAY",
     "NOTHING_UNKNOWN",
     "NO_CHANCE",
     "PUBLISHED",
