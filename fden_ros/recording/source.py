@@ -186,11 +186,6 @@ class BagSource:
         return self.topics["force"]
 
     @property
-    def displacement(self) -> Topic:
-        """Topic of the displacement."""
-        return self.topics["displacement"]
-
-    @property
     def total(self) -> int:
         """Messages on the topics used."""
         return sum(topic.message_count for topic in set(self.topics.values()))
