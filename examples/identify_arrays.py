@@ -10,4 +10,4 @@ import fden_ros
 time, force, depth = np.loadtxt("examples/press.csv", delimiter=",", skiprows=1).T
 probe = {"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}
 for contact in fden_ros.fit(time, force, 1e-3 * depth, geometry=probe).contacts:
-    print(contact.stiffness, contact.G, contact.Gn)
+    print(contact.G.value, contact.Gn.value)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import os
 import shlex
 import signal
 import sys
@@ -88,6 +89,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
     try:
         parser = build_parser()
+        if "_ARGCOMPLETE" in os.environ:
+            import argcomplete  # the shell asks what may come next
+
+            argcomplete.autocomplete(parser)
         given = sys.argv[1:] if arguments is None else arguments
         args, unknown = parser.parse_known_args(given)
         if unknown:

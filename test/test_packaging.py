@@ -37,6 +37,7 @@ PROGRAMS = {entry.name for entry in distribution("fden_ros").entry_points}
 
 # Distribution on the package index: the rosdep key that brings it.
 ROSDEP_KEYS = {
+    "argcomplete": "python3-argcomplete",
     "filterpy": "python3-filterpy-pip",
     "hypothesis": "python3-hypothesis",
     "jinja2": "python3-jinja2",
