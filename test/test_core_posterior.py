@@ -132,7 +132,7 @@ def posterior_of(
     places = np.arange(len(unknowns))
     precision[places, places] = [u.unit**-2.0 for u in unknowns]
     noise = Noise(press.noise, press.motion_noise)
-    errors = ErrorModel(GEOMETRY, uncertainty, noise, model.conditions)
+    errors = ErrorModel(GEOMETRY, uncertainty, noise, model.order)
     grid = scales_of(uncertainty)
     return Posterior(model, errors, Belief(mean, precision), grid, has_field_prior=is_bent)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -171,35 +171,6 @@ class Points:
     counts: Array
     stresses: Array
     moments: Array  #: of the steps that end at the points: those of the loops, (n, 4, RATES)
-    #: The motion of which it is a part, as times [s] and compressions [1]; None: its own.
-    path: tuple[Array, Array, Array] | None = None
-    #: Change of the compressions by the delay that has moved them [1/s]; None: none has.
-    rates: Array | None = None
-
-    def earlier(self, delay: float, touch_speed: float) -> Points:
-        """Return the record with the motion of `delay` later [s], about a touch at a speed [1/s].
-
-        Beyond its ends the motion goes on as there. It is the mean over a block, so that a
-        solution can follow its derivative past the points.
-        """
-        own = self.times, self.compressions, self.speeds
-        path = self.path if self.path is not None else own
-        at, half = self.times + delay, 0.5 * BLOCK_TIME
-        before, after = _along(path, at - half), _along(path, at + half)
-        found = (after.integral - before.integral) / BLOCK_TIME - delay * touch_speed
-        # From the block before to the one behind, so that their errors follow the delay smoothly.
-        earlier, later = (_along(path, at + way * half).value for way in (-3.0, 3.0))
-        bends = np.abs(later - after.value - before.value + earlier) / BLOCK_TIME
-        # It may bend anywhere between two points.
-        steps = np.maximum(self.steps, np.maximum(self.elapsed, np.append(self.elapsed[1:], 0.0)))
-        return replace(
-            self,
-            compressions=found,
-            speeds=np.interp(at, path[0], path[2]),
-            bends=bends,
-            steps=steps,
-            rates=(after.value - before.value) / BLOCK_TIME,
-        )
 
     @functools.cached_property
     def met(self) -> Indices:
@@ -209,23 +180,3 @@ class Points:
     def mean(self, values: Array) -> Array:
         """Return the means over the blocks of values at the points, shape (..., m)."""
         return 0.5 * (values[..., self.first] + values[..., self.last])
-
-
-class _Along(NamedTuple):
-    """A motion at some times."""
-
-    value: Array  #: compressions [1]
-    integral: Array  #: of them over the time [s]
-
-
-def _along(path: tuple[Array, Array, Array], at: Array) -> _Along:
-    """Return a motion, linear between its points and beyond its ends."""
-    times, values, speeds = path
-    slopes = np.concatenate([speeds[:1], np.diff(values) / np.diff(times), speeds[-1:]])
-    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(times)
-    until = np.concatenate([[0.0], np.cumsum(areas)])
-    segment = np.searchsorted(times, at, side="right")
-    begin = np.maximum(segment - 1, 0)
-    since, slope = at - times[begin], slopes[segment]
-    value = values[begin] + slope * since
-    return _Along(value, until[begin] + 0.5 * (values[begin] + value) * since)

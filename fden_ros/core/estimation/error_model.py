@@ -100,9 +100,8 @@ class ErrorModel:
     geometry: Geometry
     uncertainty: Uncertainty
     noise: Noise
-    #: A record and a state to the record with its motion moved, and the order of the relaxation:
-    #: those of the press's model.
-    conditions: Callable[[Points, Array], tuple[Points, float]]
+    #: The order of the relaxation at a state: that of the press's model.
+    order: Callable[[Array], float]
 
     def errors(
         self, points: Points, state: Array, found: Evaluation, before: Loading | None = None
@@ -111,7 +110,7 @@ class ErrorModel:
 
         `before`: the loading that the blocks go on from; None: none.
         """
-        points, order = self.conditions(points, state)
+        order = self.order(state)
         drift = (self.geometry.stress_per_force * self.uncertainty.force_drift_sd) ** 2
         motion = (self.uncertainty.surface_motion_sd / self.geometry.length) ** 2
         floor = STRAIN_FLOOR * math.exp(state[LOG_G])

@@ -132,11 +132,10 @@ class Uncertainty:
     delay_sd: float = parameter(
         "displacement.delay_sd",
         0.0025,
-        "Standard deviation of the delay that displacement.delay leaves; 0: none. Above 0.01 each "
-        "press learns it, and nothing is claimed before it is known.",
+        "Standard deviation of the delay that displacement.delay leaves; 0: none.",
         "s",
         0.0,
-        0.1,
+        0.01,
     )
     thickness_sd: float = parameter(
         "geometry.thickness_sd",

@@ -16,7 +16,7 @@ from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.error_model import Errors
 from fden_ros.core.estimation.filter import PressFilter, Update
 from fden_ros.core.estimation.mixture import Component, merged, weights_of
-from fden_ros.core.estimation.press_setting import MOST_LATE, PressSetting
+from fden_ros.core.estimation.press_setting import PressSetting
 from fden_ros.core.estimation.search import Care, Search, Solved
 from fden_ros.core.estimation.unknowns import LAW_PLACES, LOG_G, LOG_GN, ORIGIN
 from fden_ros.core.law import StressMoments, elastic_response
@@ -103,11 +103,7 @@ class Hypothesis:
         shift = self.past.shift
         if not shift:
             return points
-        moved = replace(points, compressions=points.compressions + shift)
-        if points.path is not None:
-            times, compressions, speeds = points.path
-            moved = replace(moved, path=(times, compressions + shift, speeds))
-        return moved
+        return replace(points, compressions=points.compressions + shift)
 
     def search(
         self, points: Points, elapsed: float, compression: float, compression_sd: float, care: Care
@@ -201,24 +197,6 @@ class Hypothesis:
         before = self._logs_when_solved
         likeliest = before[int(np.argmax(self._logs))]
         return bool(likeliest < before.max() + math.log(LEAST_WEIGHT))
-
-    @property
-    def delays(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """A long delay and its deviation [s] when it was solved, and now; None: it has none."""
-        if self.solved is None or self.filter is None or not self.setting.is_late:
-            return None
-        best, now = self.solved.best, self.filter
-        delay = self.setting.delay
-        return delay(best.mean, best.covariance), delay(now.mean, now.covariance)
-
-    @property
-    def lateness(self) -> float:
-        """How late the displacement may be [s], by the newest solution."""
-        most = self.setting.delay_reach if self.setting.is_late else 0.0
-        if not most or self.solved is None:
-            return most
-        delay, sd = self.setting.delay(self.solved.best.mean, self.solved.best.covariance)
-        return min(max(delay + MOST_LATE * sd, 0.0), most)
 
     @property
     def filter(self) -> PressFilter | None:

@@ -1,15 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The samples of one press on their way into its record.
-
-Where the motion may be late, a sample of the stress waits until its motion has come.
-"""
+"""The samples of one press on their way into its record."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -56,34 +52,22 @@ class Intake:
         # As many of the origin's standard deviations before its nominal place the touch may be.
         reach = 6.0 * max(one.origin_sd for one in settings) if is_one_sided else 0.0
         is_at_rest = is_one_sided and any(one.carried is None for one in settings)
-        late = settings[0].delay_reach
-        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest, delay=late)
+        self.record = Record(compression_sd, reach, is_at_rest=is_at_rest)
         if way is not None and (reach or is_at_rest):
             self.record.see_way(way + np.array([[start], [0.0], [0.0]]))
         self.deepest, self.compression_sd, self.now = -math.inf, compression_sd, start
         self._path_variance, self._steps, self._stepped = path_variance, 0, 0.0
-        # Samples whose motion may not have come yet.
-        self._held: deque[tuple[Sample, bool]] = deque()
         self._samples: list[Sample] = []
         self._is_pressed = False
 
-    def take(self, sample: Sample, step: float, lateness: float, *, is_free: bool) -> None:
-        """Take a sample, `step` seconds after the last; its motion may be `lateness` late [s]."""
+    def take(self, sample: Sample, step: float, *, is_free: bool) -> None:
+        """Take a sample, `step` seconds after the last."""
         self._steps += step > 0.0
         self._stepped += max(step, 0.0)
         if self._path_variance and self._steps:
             # By the mean step: the last alone may be short.
             own = math.sqrt(self._path_variance * self._steps / self._stepped)
             self.compression_sd, self.record.noise_sd = own, self.record.noise_sd or own
-        if not lateness and not self._held:
-            self._take(sample, is_free=is_free)
-            return
-        self._held.append((sample, is_free))
-        while self._held and self._held[0][0].time <= sample.time - lateness:
-            held, was_free = self._held.popleft()
-            self._take(held, is_free=was_free)
-
-    def _take(self, sample: Sample, *, is_free: bool) -> None:
         self.now = sample.time
         self._is_pressed |= not is_free
         is_observed = not (is_free and self._is_pressed)
@@ -98,11 +82,5 @@ class Intake:
 
     def blocks(self) -> list[Block]:
         """Return the blocks of the samples since the last."""
-        self.see_ahead()
         samples, self._samples = self._samples, []
         return self.record.blocks(samples) if samples else []
-
-    def see_ahead(self) -> None:
-        """Let the record see the motion of samples that wait."""
-        if self._held:
-            self.record.see_ahead([sample for sample, _ in self._held])

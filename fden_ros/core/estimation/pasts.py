@@ -13,10 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from scipy.special import logsumexp
 
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.hypothesis import Hypothesis, Past
 from fden_ros.core.estimation.mixture import collapsed, normalized
 from fden_ros.core.estimation.press_model import FreeSurface
@@ -93,7 +91,7 @@ class Pasts:
             past.other = None
         self.all = [*same, own]
 
-    def hypotheses(self, zero_sd: float, drift_sd: float, way: Array | None) -> list[Hypothesis]:
+    def hypotheses(self, zero_sd: float, drift_sd: float) -> list[Hypothesis]:
         """Return those of a press that begins where the memory of the pasts ends.
 
         There is one for each Gaussian of what a past has carried over.
@@ -102,14 +100,10 @@ class Pasts:
         ----------
         zero_sd, drift_sd : float
             Of the press's own zero [Pa] and drift [Pa/s]; a zero_sd of 0: it is not measured.
-        way : ndarray, shape (3, n), optional
-            Of the probe before the touch.
         """
         found = []
         for past in self.all:
             own = past.setting
-            if own.is_late and own.carried is None and own.origin_sd:
-                past.setting = own = replace(own, touch_speed=_touch_speed(way))
             setting = replace(
                 own,
                 # 0.01 N where it is not measured: with 0 a preload puts ln Gn eight standard
@@ -176,14 +170,3 @@ def _carry_over(
     # take half as much work again.
     carried = Carried(model, collapsed(normalized(sound), most, 0.5, lasting))
     past.setting = replace(past.setting, carried=carried)
-
-
-def _touch_speed(way: Array | None) -> float:
-    """Return the speed in the last 0.1 s before a touch [1/s]; 0: it was not seen to come."""
-    if way is None or way.shape[1] < 2:
-        return 0.0
-    times, compressions, _ = way
-    near = times >= times[-1] - 0.1
-    if np.ptp(times[near]) <= 0.0:
-        return 0.0
-    return float(np.polyfit(times[near] - times[-1], compressions[near], 1)[0])

@@ -140,7 +140,7 @@ class PosteriorEstimator(Estimator):
         """Start a press whose stress has a zero [Pa] and a drift [Pa/s] of its own."""
         self.put_away()
         self._pasts.wait(self._time)
-        hypotheses = self._pasts.hypotheses(bias_sd, drift_sd, way)
+        hypotheses = self._pasts.hypotheses(bias_sd, drift_sd)
         settings = [one.setting for one in hypotheses]
         known = self._compression_sd, self._path_variance
         self.press = PressPosterior(hypotheses, Intake(settings, self._time, *known, way))

@@ -80,8 +80,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
         replace(_small_motion(press, one, tissue), weight=weight, unseen=unseen)
         for (weight, one), tissue in zip(weighed, tissues, strict=True)
     )
-    own_tissue = next(t for (_, one), t in zip(weighed, tissues, strict=True) if one is best)
-    whole_state = moments(own_tissue)
     return Estimate(
         log_linear_stiffness=float(mean[LOG_G]),
         log_nonlinear_stiffness=float(mean[LOG_GN]),
@@ -106,7 +104,6 @@ def estimate_of(press: PressPosterior, mismatch_probability: float) -> Estimate 
             for c in (whole if not is_contradicted else ())
         ),
         small_motions=motions,
-        delay=press.setting.delay(*whole_state) if press.setting.is_late else None,
     )
 
 

@@ -73,7 +73,6 @@ class TissueSurface:
 
     def touch_gradient(self, points: Points, state: Array) -> Array:
         """Return how each unknown moves the touch, as a unit vector (n,)."""
-        points = self.motion.moved(points, state)
         if self.free is None:
             result, motions = (
                 np.zeros(self.characteristic.stop),
@@ -91,7 +90,7 @@ class TissueSurface:
         return result / size if size else result
 
     def at(self, points: Points, state: Array) -> tuple[Array | None, Array | None]:
-        """Return it at the points of a moved record, and its derivatives, (size, points).
+        """Return it at the points of a record, and its derivatives, (size, points).
 
         None: it is at 0.
         """
@@ -204,11 +203,6 @@ class PressModel:
         """Return the order of the relaxation, for what the errors meet within a block [1]."""
         return order_of(state)
 
-    def conditions(self, points: Points, state: Array) -> tuple[Points, float]:
-        """Return what the errors of a record meet at a state: see :class:`ErrorModel`."""
-        moved = self.motion.moved(points, state)
-        return moved, self.order(state)
-
     def relaxation(self, order: float) -> tuple[Array, Array]:
         """Return the weights of the relaxation of an order, and their derivatives by it."""
         return relaxation_weights(order), relaxation_slopes(order)
@@ -238,7 +232,6 @@ class PressModel:
 
         `going_on`: from where the response goes on; None: the record begins at rest.
         """
-        points = self.motion.moved(points, state)
         _, rows = self._law(state)
         design, (surface, lifted) = self.motion.design(points), self.surface.at(points, state)
         columns = Columns(self._kinds, design.motions, self._weight_of, rows, lifted)
@@ -252,7 +245,6 @@ class PressModel:
 
     def response(self, points: Points, state: Array) -> Evaluation:
         """Return the stress of every block without its derivatives."""
-        points = self.motion.moved(points, state)
         surface, _ = self.surface.at(points, state)
         return self._evaluated(points, state, surface, None, ResponseState(0))
 

@@ -43,7 +43,6 @@ class _Begun(NamedTuple):
     end: float  #: of their record [s]
     elapsed: float  #: from the touch to there [s]
     compression: float  #: largest of it [1]
-    shows_delay: bool  #: a long delay
     found: Advanced[list[_Weighed]]
     since: list[Block]  #: the blocks after their record
 
@@ -128,14 +127,13 @@ class PressPosterior:
         is_asked = self._is_surprised or self.best.has_turned
         is_solved = all(one.is_solved for one in self.likely)
         is_linear = all(one.filter.is_linear for one in self.likely if one.filter is not None)
-        is_open = self._schedule.is_delay_open(self.best)
-        return is_asked or not is_linear or not is_solved or is_open
+        return is_asked or not is_linear or not is_solved
 
     # Samples
 
     def take(self, sample: Sample, step: float, *, is_free: bool) -> None:
         """Take a sample, `step` seconds after the last."""
-        self.intake.take(sample, step, self.best.lateness, is_free=is_free)
+        self.intake.take(sample, step, is_free=is_free)
 
     def update(self, stress: float, compression: float, *, is_past: bool = False) -> Innovation:
         """Take the block of the samples since the last; return how the filter predicted it.
@@ -195,7 +193,6 @@ class PressPosterior:
     def begin_last(self) -> None:
         """Begin to solve at the end of the press, from all starts, behind what is under way."""
         self._schedule.is_over, self._begun = True, None
-        self.intake.see_ahead()
         self.begin_solution()
 
     def finish(self) -> None:
@@ -219,8 +216,6 @@ class PressPosterior:
             float(points.times[-1]),
             elapsed,
             record.max_compression,
-            # Or an earlier press of the site has shown it.
-            self.setting.carried is not None or has_slowed,
             Advanced(partial(_solved_together, searches)),
             [],
         )
@@ -238,7 +233,7 @@ class PressPosterior:
             for one in self.hypotheses:
                 one.misses += 1
             return
-        self._schedule.ended(begun.elapsed, begun.compression, shows_delay=begun.shows_delay)
+        self._schedule.ended(begun.elapsed, begun.compression)
         solved, missed = _taken_over(begun.hypotheses, found)
         self.hypotheses = _kept(solved, missed)
         self._catch_up(solved, begun.end, begun.since)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.density import Belief
 from fden_ros.core.estimation.error_model import ErrorModel, Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
@@ -22,15 +21,11 @@ from fden_ros.core.estimation.press_model import FreeSurface, PressModel
 from fden_ros.core.estimation.scales import carried_scales, scales_of
 from fden_ros.core.estimation.smooth_errors import strain_range
 from fden_ros.core.estimation.unknowns import (
-    LINEAR_DELAY,
     ORIGIN,
     Lifetime,
     unknowns_of,
 )
 from fden_ros.core.law import Geometry
-
-#: Standard deviations of the delay for which stress waits for its motion [1].
-MOST_LATE = 2.0
 
 
 def is_sound(component: Component) -> bool:
@@ -81,45 +76,6 @@ class PressSetting:
     carried: Carried | None = None  #: None: the first press of the site
     #: What earlier presses have left of the tissue; None: it is at rest.
     free: FreeSurface | None = None
-    touch_speed: float = 0.0  #: of the compression at the first touch of the site [1/s]
-
-    @property
-    def is_late(self) -> bool:
-        """Whether the delay may be so long that the motion is shifted by it."""
-        return self.config.uncertainty.delay_sd > LINEAR_DELAY
-
-    def timed(self, start: Array, model: PressModel, points: Points) -> Array:
-        """Return a start with the delay at which a multiple of its stress is nearest to a record.
-
-        A step of the motion that is met a step late leads to a delay in between.
-        """
-        if not self.is_late:
-            return start
-        best, nearest = start, -math.inf
-        # As far as stress waits.
-        for place in np.linspace(-MOST_LATE, MOST_LATE, 17):
-            tried = start.copy()
-            tried[self._delay_place] += place
-            stress = model.response(points, tried).stress
-            size = float(stress @ stress)
-            near = float(stress @ points.stresses) ** 2 / size if size > 0.0 else -math.inf
-            if near > nearest:
-                best, nearest = tried, near
-        return best
-
-    def delay(self, mean: Array, covariance: Array) -> tuple[float, float]:
-        """Return the delay [s] of a state and its standard deviation, where the motion is late."""
-        place, sd = self._delay_place, self.config.uncertainty.delay_sd
-        return sd * float(mean[place]), sd * math.sqrt(max(float(covariance[place, place]), 0.0))
-
-    @property
-    def _delay_place(self) -> int:
-        return ORIGIN + 1 + (self.config.uncertainty.compliance_sd > 0.0)
-
-    @property
-    def delay_reach(self) -> float:
-        """How late the displacement may be where it is shifted by interpolation [s]; else 0."""
-        return MOST_LATE * self.config.uncertainty.delay_sd if self.is_late else 0.0
 
     @property
     def is_bent(self) -> bool:
@@ -141,14 +97,9 @@ class PressSetting:
         return math.sqrt(max(float(row @ covariance @ row), 0.0))
 
     def by_origin(self, size: int) -> Array:
-        """Return by what a state makes the strain origin, (size,).
-
-        With a long delay the displacement was elsewhere at the touch that was seen.
-        """
+        """Return by what a state makes the strain origin, (size,)."""
         row = np.zeros(size)
         row[ORIGIN] = self.origin_sd
-        if self.touch_speed:
-            row[self._delay_place] = self.touch_speed * self.config.uncertainty.delay_sd
         return row
 
     def largest_strain(self, deepest: float, origin: float) -> float:
@@ -173,9 +124,7 @@ class PressSetting:
             Of the model.
         """
         config = self.config
-        unknowns = unknowns_of(
-            config, self.geometry, self.origin_sd, self.drift_sd, self.touch_speed
-        )
+        unknowns = unknowns_of(config, self.geometry, self.origin_sd, self.drift_sd)
         last_knot = strain_range(self.geometry.strain(max(deepest + self.origin_sd, 0.0)))
         model = kind(
             unknowns, self.geometry, is_bent=self.is_bent, last_knot=last_knot, free=self.free
@@ -188,7 +137,7 @@ class PressSetting:
                 grid = carried_scales(config.uncertainty)
         return Posterior(
             model,
-            ErrorModel(self.geometry, config.uncertainty, noise, model.conditions),
+            ErrorModel(self.geometry, config.uncertainty, noise, model.order),
             belief,
             grid,
             has_field_prior=has_fields and self.is_bent,

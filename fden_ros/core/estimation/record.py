@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -57,9 +56,6 @@ class Record:
     is_at_rest : bool
         That place is where the compression is 0; else the tissue may be met first where the
         record begins.
-    delay : float
-        How late or early the motion may be, so that the stress changes where the motion does not
-        [s]; 0: blocks may last where it rests.
     """
 
     def __init__(
@@ -68,11 +64,9 @@ class Record:
         reach: float = 0.0,
         *,
         is_at_rest: bool = False,
-        delay: float = 0.0,
     ) -> None:
-        self.noise_sd, self._delay = noise_sd, delay
+        self.noise_sd = noise_sd
         self._approach = ApproachMotion(reach, is_at_rest=is_at_rest)
-        self._ahead: list[Cell] = []  # the motion since the newest sample
         self._cells: list[Cell] = []
         self._rows: list[Block] = []  # of the same; on their path but for those of the newest
         self._path: Cell | None = None  # the newest line that blocks have followed
@@ -94,11 +88,7 @@ class Record:
         return len(self._cells) + (self._open is not None)
 
     def has_slowed(self, exponent: float) -> bool:
-        """Whether the strain's rate has fallen to half, longer ago than the delay may be.
-
-        A ramp alone shows no delay: of one a live state was 9 deviations off. The strain is the
-        compression to the power `exponent`.
-        """
+        """Whether the rate of the strain, the compression to this power, has fallen to half."""
         n = 5  # blocks over which a speed is above the noise of the motion: 50 ms
         if len(self._rows) <= n:
             return False
@@ -107,8 +97,7 @@ class Record:
         speeds = (strains[n:] - strains[:-n]) / (times[n:] - times[:-n])
         is_slow = speeds < 0.5 * np.maximum.accumulate(speeds)
         is_seen = times[n:] - times[0] > TOUCH_TIME
-        slow = np.flatnonzero(is_slow & is_seen)
-        return slow.size > 0 and bool(self.end - times[n:][slow[0]] >= self._delay)
+        return bool((is_slow & is_seen).any())
 
     def add(self, time: float, compression: float, stress: float, *, is_observed: bool) -> None:
         """Take a sample; `is_observed`: its stress counts, not only its motion."""
@@ -223,11 +212,7 @@ class Record:
         if off > 2e-4 + _LINE_DEVIATIONS * self.noise_sd * spread:
             self._changed = cell.start
             return False
-        if (
-            self._delay
-            or last.is_observed != cell.is_observed
-            or last.start - self._start < TOUCH_TIME
-        ):
+        if last.is_observed != cell.is_observed or last.start - self._start < TOUCH_TIME:
             return False
         change = abs(cell.compression / cell.count - last.compression / last.count)
         # It may last for a twentieth of the time since the motion changed.
@@ -245,22 +230,7 @@ class Record:
             opened = [cell for cell in (self._end_of(self._path), *opened) if cell is not None]
         rows += [cell.row() if path is None else cell.row().along(path) for cell in opened]
         rows = [cell.row() for cell in self._approach.cells(self._cells + opened)] + rows
-        found = _points(rows, self.noise_sd)
-        return found if not self._delay else replace(found, path=self._path_of(rows))
-
-    def see_ahead(self, samples: Sequence[Sample]) -> None:
-        """Take the motion since the newest sample, whose stress does not count yet."""
-        self._ahead = []
-        for sample in samples:
-            if not self._ahead or sample.time - self._ahead[-1].start >= BLOCK_TIME - SAME_TIME:
-                self._ahead.append(Cell(sample.time, False))
-            self._ahead[-1].add(*sample)
-
-    def _path_of(self, rows: Sequence[Block]) -> tuple[Array, Array, Array]:
-        """Return the motion of blocks, and of what is ahead."""
-        ahead = [cell.row() for cell in self._ahead if cell.start > rows[-1].middle]
-        found = _points([*rows, *ahead], self.noise_sd)
-        return found.times, found.compressions, found.speeds
+        return _points(rows, self.noise_sd)
 
     def see_way(self, way: Array) -> None:
         """Take the way of the probe before the first sample.
@@ -282,12 +252,7 @@ class Record:
 
     def points_after(self, blocks: Sequence[Block], before: float) -> Points:
         """Return blocks as a record that goes on after the time `before` [s]."""
-        found = _points(blocks, self.noise_sd, before)
-        if not self._delay:
-            return found
-        rows = self._rows_on_path(self._newest_path() or self._path)
-        rows += [self._open.row()] if self._open is not None else []
-        return replace(found, path=self._path_of(rows))
+        return _points(blocks, self.noise_sd, before)
 
 
 def _block_of(samples: Sequence[Sample], path: Cell | None) -> Block:

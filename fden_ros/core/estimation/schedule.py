@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.search import Care
-from fden_ros.core.estimation.unknowns import LINEAR_DELAY
 
 #: It is solved anew when the time since the touch, or the largest compression, has grown by these
 #: factors [1], some 20 times a contact; between two the filter is off by half a deviation.
@@ -38,7 +37,6 @@ class Schedule:
         self._blocks_at_starts = 0
         self._elapsed = self._compression = self._asked_at = self._asking_at = 0.0
         self._solved_compression = 0.0
-        self._shows_delay = False
         self.has_slowed = False
 
     @property
@@ -52,7 +50,6 @@ class Schedule:
             elapsed > _TIME_RATIO * self._elapsed
             or compression > _DEPTH_RATIO * self._compression > 0.0
             or (best.filter is not None and best.filter.has_moved)
-            or self._has_told_delay(best)
         )
 
     def is_deeper(self, compression: float) -> bool:
@@ -63,12 +60,11 @@ class Schedule:
         """Let one be due: the filter is too far from the last."""
         self._elapsed, self._compression = 0.0, 1e-9
 
-    def ended(self, elapsed: float, compression: float, *, shows_delay: bool) -> None:
-        """Take note of a solution, and whether its record shows a long delay."""
+    def ended(self, elapsed: float, compression: float) -> None:
+        """Take note of a solution."""
         self._elapsed, self._compression = elapsed, compression
         self._solved_compression = compression
         self._asked_at = self._asking_at
-        self._shows_delay = shows_delay
 
     def care(self, least: Care, elapsed: float, best: Hypothesis, *, has_slowed: bool) -> Care:
         """Return the care of a solution that begins now; `has_slowed`: the motion of its record.
@@ -92,20 +88,3 @@ class Schedule:
         if care >= Care.FROM_STARTS:
             self._blocks_at_starts = self.blocks
         return care
-
-    def is_delay_open(self, best: Hypothesis) -> bool:
-        """Whether a long delay is not known so well that the model is linear in it."""
-        delays = best.delays
-        if delays is None:
-            return False
-        (before, sd), (now, _) = delays
-        return not self._shows_delay or max(sd, abs(now - before)) > LINEAR_DELAY
-
-    def _has_told_delay(self, best: Hypothesis) -> bool:
-        """Whether the delay has become known since a solution about which the filter is linear."""
-        delays = best.delays
-        if delays is None or not self.is_delay_open(best):
-            return False
-        (_, before), (_, now) = delays
-        # A long delay is solved anew where its standard deviation has halved.
-        return now < 0.5 * before

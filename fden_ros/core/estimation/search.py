@@ -188,7 +188,6 @@ class Search:
         for place in (-0.8, 0.8) if sd > 0.0 else (0.0,):
             start = posterior.belief.mean.copy()
             start[LOG_GN] += place * sd
-            start = self.setting.timed(start, posterior.model, points)
             highest = float(posterior.model.response(points, start).stress.max())
             if highest > 0.0:
                 start[LOG_G] += math.log(max(points.stresses.max(), 1e-9) / highest)

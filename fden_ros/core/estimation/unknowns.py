@@ -34,10 +34,6 @@ from fden_ros.core.estimation.loops import By
 from fden_ros.core.estimation.smooth_errors import STRAIN_FLOOR
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, Geometry
 
-#: Delays with a wider prior than this shift the motion by interpolation [s]: a block. The column
-#: delay * speed is wrong where the speed jumps: by 50 ms G is five deviations off.
-LINEAR_DELAY = 0.01
-
 
 class Lifetime(enum.Enum):
     """For how long an unknown is one and the same."""
@@ -61,8 +57,6 @@ class Unknown:
     motion: Callable[[Points], Array] | None = None
     #: Points to the stress at their blocks by one standard deviation, (m,) [Pa].
     stress: Callable[[Points], Array] | None = None
-    #: It is a delay that shifts the motion by interpolation, about a touch at this speed [1/s].
-    touch_speed: float | None = None
 
     @property
     def unit(self) -> float:
@@ -89,9 +83,8 @@ def _shift(size: float, points: Points) -> Array:
     return np.full(points.times.size, size)
 
 
-def _late(delay: float, touch_speed: float, points: Points) -> Array:
-    rates = points.speeds if points.rates is None else points.rates
-    return delay * (rates - touch_speed)
+def _late(delay: float, points: Points) -> Array:
+    return delay * points.speeds
 
 
 def _friction(stress: float, length: float, points: Points) -> Array:
@@ -112,7 +105,6 @@ def unknowns_of(
     geometry: Geometry,
     origin_sd: float,
     drift_sd: float,
-    touch_speed: float = 0.0,
 ) -> tuple[Unknown, ...]:
     """Return the unknowns of a press but for the law's errors.
 
@@ -122,23 +114,19 @@ def unknowns_of(
         Standard deviation of the strain origin, as compression [1]; 0: known.
     drift_sd : float
         Of the slope of the force's zero, as stress [Pa/s].
-    touch_speed : float
-        Of the compression at the touch [1/s]. Where the delay may be long it is the touch that is
-        seen, so the origin counts from where the displacement seems to be then.
     """
     prior, unsure = config.prior, config.uncertainty
     length, per_force = geometry.length, geometry.stress_per_force
     order_sd = prior.fractional_order_sd if config.learns_fractional_order else 0.0
     site, rig = Lifetime.SITE, Lifetime.RIG
-    delay_sd, speed = unsure.delay_sd, touch_speed if unsure.delay_sd > LINEAR_DELAY else None
-    late = partial(_late, delay_sd, speed or 0.0)
+    late = partial(_late, unsure.delay_sd)
     found = (
         Unknown("log_g", prior.mean[0], prior.linear_stiffness_log_sd, site, By.LOG_G),
         Unknown("log_gn", prior.mean[1], prior.nonlinear_stiffness_log_sd, site, By.LOG_GN),
         Unknown("order", prior.fractional_order, order_sd, site),
         Unknown("origin", 0.0, origin_sd, site, motion=partial(_shift, -origin_sd)),
         Unknown("compliance", 0.0, unsure.compliance_sd, rig, By.COMPLIANCE),
-        Unknown("delay", 0.0, delay_sd, rig, motion=late, touch_speed=speed),
+        Unknown("delay", 0.0, unsure.delay_sd, rig, motion=late),
         Unknown(
             "friction",
             config.friction / unsure.friction_sd if unsure.friction_sd else 0.0,
@@ -167,28 +155,11 @@ class PressMotion:
 
     def __init__(self, unknowns: tuple[Unknown, ...]) -> None:
         self._unknowns = unknowns
-        late = [k for k, u in enumerate(unknowns) if u.touch_speed is not None]
-        self._late = late[0] if late else None  # the delay that shifts the motion
-        self._moved: tuple[Points, float, Points] | None = None
         self._design: tuple[Points, Design] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return it without what the last record has decided: that is found anew."""
-        return self.__dict__ | {"_moved": None, "_design": None}
-
-    def moved(self, points: Points, state: Array) -> Points:
-        """Return a record with its motion as early as a long delay says; that of the last is kept.
-
-        What follows from the record at a state takes this one.
-        """
-        if self._late is None:
-            return points
-        unknown = self._unknowns[self._late]
-        assert unknown.touch_speed is not None
-        delay = unknown.sd * float(state[self._late])
-        if self._moved is None or self._moved[0] is not points or self._moved[1] != delay:
-            self._moved = points, delay, points.earlier(delay, unknown.touch_speed)
-        return self._moved[2]
+        return self.__dict__ | {"_design": None}
 
     def design(self, points: Points) -> Design:
         """Return the design of a record; that of the last one is kept."""
@@ -204,19 +175,14 @@ class PressMotion:
         return self._design[1]
 
     def compressions(self, points: Points, state: Array) -> Array:
-        """Return the compressions from the origin at the points of a record that is moved."""
-        own = self._of_unknowns(state)
-        if self._late is not None:
-            own = own.copy()
-            own[self._late] = 0.0  # it has moved the record
-        return points.compressions + own @ self.design(points).motions
+        """Return the compressions from the origin at the points of a record."""
+        return points.compressions + self._of_unknowns(state) @ self.design(points).motions
 
     def ends(self, points: Points, state: Array) -> tuple[Array, Array]:
         """Return the compressions from the origin at the ends of blocks [1], (m,).
 
         And their derivatives by the state, (m, size of it).
         """
-        points = self.moved(points, state)
         last = points.last
         by_state = np.zeros((last.size, state.size))
         by_state[:, : len(self._unknowns)] = self.design(points).motions[:, last].T
