@@ -5,12 +5,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,20 +25,16 @@ from fden_ros.core.estimation import (
     PosteriorEstimator,
     Reservations,
     ended,
-    proposals,
     reserved,
 )
-from fden_ros.core.estimation.hypothesis import Hypothesis
 from fden_ros.core.estimation.maxima import Solutions, combined, find_maxima
 from fden_ros.core.estimation.mixture import (
     collapsed,
     moments,
     weights_of,
 )
-from fden_ros.core.estimation.press_estimate import estimate_of
-from fden_ros.core.estimation.proposals import hidden_origin, linear
-from fden_ros.core.estimation.search import Search
-from fden_ros.core.estimation.unknowns import LOG_G, LOG_GN, ORIGIN
+from fden_ros.core.estimation.proposals import linear
+from fden_ros.core.estimation.unknowns import LOG_GN
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import Column, FdenModel, Tissue
 
@@ -142,72 +135,6 @@ def test_so_it_has_while_two_places_are_alive() -> None:
     assert alive > 3
 
 
-def test_the_order_of_hypotheses_does_not_matter() -> None:
-    def found(turn: int) -> Estimate:
-        estimator, tissue = of_two_places()
-        estimator._pasts.all = estimator._pasts.all[::turn]
-        *_, last = press(estimator, tissue, motion())
-        return last
-
-    one, other = found(1), found(-1)
-    np.testing.assert_allclose(one.mean, other.mean, atol=1e-9)
-    np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-9)
-
-
-def test_a_hypothesis_that_is_dropped_leaves_no_trace() -> None:
-    estimator, tissue = of_two_places()
-    for _ in press(estimator, tissue, motion()):
-        pass
-    own = estimator.press
-    assert own is not None
-    whole = estimate_of(own, math.nan)
-    ruled_out = Hypothesis(own.best.past, own.best.setting)
-    assert own.best.solved is not None
-    ruled_out.take_over(own.best.solved, 0.0)
-    ruled_out.shift_weight(own.best.log_weight - 9.1 - ruled_out.log_weight)
-    own.hypotheses = [*own.hypotheses, ruled_out]
-    own.weigh()
-    again = estimate_of(own, math.nan)
-    assert whole is not None and again is not None
-    assert repr(whole._replace(small_motions=())) == repr(again._replace(small_motions=()))
-
-
-@pytest.mark.parametrize(("misses", "left"), [(1, 1), (2, 0)])
-def test_a_hypothesis_is_dropped_when_its_solution_is_lost_twice_in_a_row(
-    monkeypatch: pytest.MonkeyPatch, misses: int, left: int
-) -> None:
-    estimator, tissue = of_two_places()
-    real = Search.in_parts
-    lost: list[Search] = []
-    of_new = estimator._pasts.all[-1].setting
-
-    def failing(self: Search) -> Any:
-        is_new = self.setting.carried is None and self.setting.origin_sd == of_new.origin_sd
-        if is_new and self.before is not None and len(lost) < misses:
-            lost.append(self)
-            raise FloatingPointError("on purpose")
-        return (yield from real(self))
-
-    monkeypatch.setattr(Search, "in_parts", failing)
-
-    def share() -> float:
-        assert estimator.press is not None
-        return sum(w for w, one in estimator.press.weighed if one.setting.carried is None)
-
-    before = 0.0
-    for _ in press(estimator, tissue, motion(0.05, 0.3)):
-        own = estimator.press
-        assert own is not None
-        if len(lost) == misses and not own.is_solving and own.solved is not None:
-            break
-        before = share()
-    assert own is not None and len(lost) == misses
-    assert sum(one.setting.carried is None for one in own.hypotheses) == left
-    if left:
-        # The share that it had is as it was, but for what one block tells.
-        assert share() == pytest.approx(before, abs=0.2)
-
-
 def log_posterior(posterior: Any, points: Any, errors: Any, scales: Any, state: Array) -> float:
     """Return minus twice the log posterior at a state, under the errors of another."""
     try:
@@ -270,17 +197,6 @@ def maxima_of(seed: int, deepest: float) -> tuple[Any, Any, Solutions]:
     return posterior, points, found
 
 
-def test_the_order_of_proposals_does_not_matter() -> None:
-    posterior, points, found = maxima_of(1, 0.1)
-    proposed = [
-        ended(module.propose(posterior, points, found, 0.1)) for module in (hidden_origin, linear)
-    ]
-    one, other = combined(found, proposed), combined(found, proposed[::-1])
-    assert one.total == pytest.approx(other.total, abs=1e-12)
-    for a, b in zip(one.moments, other.moments, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-12)
-
-
 def test_a_bend_keeps_its_weight_beside_a_likelier_linear_law() -> None:
     posterior, points, found = maxima_of(2, 0.04)
     below = found.best
@@ -306,64 +222,7 @@ def test_weights_add_up_to_1_however_small_all_of_them_are(size: float) -> None:
     assert weights_of([-size, -2.0 * size]).sum() == pytest.approx(1.0)
 
 
-def test_a_linear_law_is_not_lost_where_the_bend_is_far_from_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(linear, "_FIRST_STEPS", 0)
-    posterior, points, found = maxima_of(2, 0.04)
-    near = found.best.maximum.state
-    far = replace(found.best.maximum, state=near.copy())
-    far.state[LOG_G] += 6.0
-    far.state[LOG_GN] = 4.5
-    bend = Solutions((replace(found.best, maximum=far),), (0.0,))
-    assert not ended(linear.propose(posterior, points, bend, 0.04)).held
-    known = replace(bend, earlier=(near,))
-    ((evidence, law),) = ended(linear.propose(posterior, points, known, 0.04)).held
-    assert math.isfinite(evidence)
-    assert law.mean[LOG_G] == pytest.approx(near[LOG_G], abs=0.3)
-
-
-def test_what_holds_an_unknown_leaves_it_no_variance() -> None:
-    posterior, points, found = maxima_of(3, 0.1)
-    state, scales = found.best.maximum.state, found.best.best_scales
-    node = ended(posterior.given(3, points, state, scales))
-    assert node.held == 3
-    assert not node.covariance[3].any() and node.mean[3] == state[3]
-
-
-@contextlib.contextmanager
-def _proposed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let the files of a folder be proposals too."""
-    monkeypatch.setattr(proposals, "__path__", [*proposals.__path__, str(folder)])
-    proposals.functions.cache_clear()
-    try:
-        yield
-    finally:
-        proposals.functions.cache_clear()
-        for file in folder.iterdir():
-            sys.modules.pop(f"{proposals.__name__}.{file.stem}", None)
-
-
-def test_a_new_hypothesis_is_one_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "twice.py").write_text(
-        "from fden_ros.core.estimation.maxima import Proposed\n"
-        "def propose(posterior, points, maxima, strain):\n"
-        "    yield 0\n"
-        "    return Proposed(((maxima.log_evidence[0], maxima.best),))\n"
-    )
-    estimator = estimator_of()
-    with _proposed(tmp_path, monkeypatch):
-        list(press(estimator, tissue_of(), motion(0.1)))
-    assert estimator.press is not None and estimator.press.solved is not None
-    solutions = estimator.press.solved.solutions
-    added = [one.mean is solutions.best.mean for one in solutions.held]
-    assert sum(added) == 1
-    assert solutions.held_log_evidence[added.index(True)] == pytest.approx(
-        solutions.best.log_evidence, abs=1e-9
-    )
-
-
-# Softened by the last press
+# A second press
 
 
 def of_presses(factors: Sequence[float], pause: float = 1.0) -> list[Estimate]:
@@ -398,64 +257,6 @@ def test_a_few_gaussians_have_the_moments_of_many_and_the_near_ones_are_one() ->
             np.testing.assert_allclose(got, wanted, atol=1e-12)
     weights = sorted(one.weight for one in collapsed(many, 3, 0.0, [0, 1]))
     assert weights == pytest.approx([0.2, 0.3, 0.5])
-
-
-def test_what_is_held_is_compared_by_what_is_not() -> None:
-    flat = [Component(0.5, np.array([x, 1.0]), np.diag([1.0, 0.0])) for x in (-3.0, 3.0)]
-    assert len(collapsed(flat, 2, 0.1, [0, 1])) == 2
-    assert len(collapsed([one._replace(mean=np.zeros(2)) for one in flat], 2, 0.1, [0, 1])) == 1
-
-
-@pytest.mark.parametrize(("held", "gaussians"), [(ORIGIN, 1), (LOG_GN, 2)])
-def test_a_ridge_is_carried_with_its_maximum_and_another_law_by_itself(
-    held: int, gaussians: int
-) -> None:
-    estimator = estimator_of()
-    list(press(estimator, tissue_of(), motion(0.15)))
-    own = estimator.press
-    assert own is not None and own.best.solved is not None
-    solved, best = own.best.solved, own.best.solved.best
-    apart = best.mean - 20.0 * np.sqrt(best.covariance.diagonal()) * np.eye(best.mean.size)[held]
-    beside = replace(best, mean=apart, held=held)
-    own.best.take_over(
-        replace(solved, solutions=Solutions((best,), (0.0,), (beside,), (-2.0,))), 0
-    )
-    own.hypotheses = [own.best]
-    own.weigh()
-    assert len(own.best.tissue_now) == 2
-    for got, wanted in zip(moments(own.best.modes_now), moments(own.best.tissue_now), strict=True):
-        np.testing.assert_allclose(got, wanted, atol=1e-9)
-    estimator.put_away()
-    carried = estimator._pasts.all[0].setting.carried
-    assert carried is not None and len(carried.components) == gaussians
-
-
-def of_shallow_presses(seed: int) -> list[float]:
-    """Return the log density of the truth after each of three presses to a strain of 1.2/Gn."""
-    drawn = np.random.default_rng(seed)
-    size, bend = 700.0 * math.exp(0.3 * drawn.normal()), 8.0 * math.exp(0.2 * drawn.normal())
-    truth = np.array([math.log(size), math.log(bend), 0.15])
-    estimator, tissue = estimator_of(origin_sd=0.0), tissue_of(FdenModel(size, bend, 0.15))
-    found = []
-    for k in range(3):
-        *_, last = press(estimator, tissue, motion(1.2 / bend), seed=100 * seed + k)
-        rest(estimator, tissue, 3.0)
-        logs = []
-        for one in last.components:
-            off = truth - one.mean
-            square = float(off @ np.linalg.solve(one.covariance, off))
-            volume = float(np.linalg.slogdet(one.covariance)[1])
-            logs.append(math.log(one.weight) - 0.5 * (square + volume))
-        found.append(float(np.logaddexp.reduce(logs)))
-    return found
-
-
-@pytest.mark.statistics
-def test_shallow_presses_tell_whether_the_tissue_bends_though_one_cannot() -> None:
-    """With one Gaussian carried the third tells no more than the second: 8.59 and 8.59."""
-    logs = np.mean([of_shallow_presses(seed) for seed in range(12)], axis=0)
-    assert logs[1] > 9.1
-    assert logs[2] > logs[1] + 0.3
 
 
 # Places that are pressed again
@@ -505,17 +306,6 @@ def test_a_place_that_is_pressed_again_has_not_recovered_and_is_known() -> None:
     first, again = found[0].estimate, found[2].estimate
     assert first is not None and again is not None
     assert np.all(again.deviations < first.deviations)
-
-
-def test_the_noise_of_the_motion_is_that_of_all_steps_and_not_of_the_last() -> None:
-    estimator = PosteriorEstimator(CONFIG, GEOMETRY, NOISE, 0.005, path_variance=1e-9)
-    list(press(estimator, tissue_of(), motion(0.1, 0.1)))
-    own = estimator.press
-    assert own is not None
-    before = own.intake.compression_sd
-    assert before == pytest.approx(math.sqrt(1e-9 * RATE), rel=0.02)
-    estimator.take(0.1 / RATE, 0.1, 100.0, is_free=False)
-    assert own.intake.compression_sd == pytest.approx(before, rel=0.02)
 
 
 def _drawn(seed: int) -> tuple[np.random.Generator, Array, float]:

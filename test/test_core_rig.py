@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -14,53 +13,24 @@ import numpy as np
 import pytest
 from fault_helpers import outcome_of
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts, first
+from property_helpers import counts
 
-from benchmark import presses
 from benchmark.presses import CASES, trial_of
 from fden_ros.core.estimation.proposals.place import Tissue as Belief
 from fden_ros.core.estimation.proposals.place import log_ratio
-from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, Status, TissueState
 from simulation.scenario import (
     DisplacementSensor,
     Disturbances,
     ForceSensor,
-    Geometry,
-    Scenario,
     Site,
     Tissue,
     ramp_scenario,
 )
 from simulation.simulate import EXACT, simulate
-from simulation.trajectory import Approach, Palpation, RampHold
+from simulation.trajectory import Approach, Palpation
 
 # What is stated of the rig
-
-
-def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
-    """Noise spoke of the compliance: alpha went on by a deviation in 30 s."""
-    tissue = Tissue(linear_stiffness=2234.0, nonlinear_stiffness=3.83, fractional_order=0.344)
-    scenario = Scenario(
-        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
-        sites=(Site(tissue, (RampHold(0.28, 0.25, 20.0, 0.6),)),),
-        force=ForceSensor(rate_hz=20.0, noise_stress_pa=5.1),
-        displacement=DisplacementSensor(rate_hz=20.0),
-    )
-    parameters = {
-        "geometry.area": math.pi * 1e-4,
-        "geometry.thickness": 0.02,
-        "prior.linear_stiffness": 185.0,
-        "prior.linear_stiffness_log_sd": 1.75,
-        "prior.nonlinear_stiffness": 7.2,
-        "prior.nonlinear_stiffness_log_sd": 0.6,
-        "prior.alpha": 0.46,
-        "prior.alpha_sd": 0.11,
-    }
-    _, outputs = identified(items_of(simulate(scenario, 1)), parameters)
-    held = [o.estimate for o in outputs if isinstance(o, TissueState) and o.phase is Phase.HOLDING]
-    early, late = held[120], held[-1]
-    moved = (late.fractional_order - early.fractional_order) / early.deviations[2]
-    assert abs(moved) < 0.3
 
 
 @pytest.mark.parametrize("numbers", counts(1, 3))
@@ -82,28 +52,6 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
         is_said = bool(contact.flags & Flag.RIG_PRIOR_CONFLICT) or not contact.converged
         assert contradicts is None or is_said == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
-
-
-@pytest.mark.parametrize("trial", first((100.0, 3), (100.0, 5), (250.0, 24)))
-def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(trial, monkeypatch):
-    """Rounding of the time since the first touch made other blocks of the second press of a place
-    than of the first of another, whose evidence was then 30 lower: alpha was 6 to 11 deviations
-    off without a flag.
-    """
-    rate, number = trial
-    monkeypatch.setattr(presses, "RATE_HZ", rate)
-    contacts = trial_of(replace(CASES["undisturbed"], sites=3), number, {}).contacts
-    assert len(contacts) == 3
-    for contact in contacts:
-        assert contact.claims
-        assert np.all(np.abs(contact.error) < 2.5 * contact.deviation)
-
-
-@pytest.mark.parametrize(("name", "number"), [("breathing_0.3mm", 60)])
-def test_a_touch_held_at_a_sample_leaves_equations_that_have_a_solution(name, number):
-    """Beside the stiffest of all unknowns, a law that is next to exact, rounding left none."""
-    contacts = trial_of(CASES[name], number, {}).contacts
-    assert [contact.claims for contact in contacts] == [True]
 
 
 def ratios(name, numbers):
