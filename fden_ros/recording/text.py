@@ -16,7 +16,7 @@ import itertools
 import math
 import re
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,11 +109,6 @@ class Layout:
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
         return _split(line, self.delimiter)
-
-    def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the number of the line and the cells of each row."""
-        for number, line in self.lines:
-            yield number, self.split(line)
 
     def number(self, cell: str) -> float:
         """Return the number in a cell, NaN where it says that it has none.
