@@ -41,6 +41,7 @@ setup(
     install_requires=[
         "Jinja2>=3.1",
         "PyYAML>=6.0",
+        "argcomplete>=3.1",
         "filterpy>=1.4.5",
         "matplotlib>=3.6",
         "mcap>=1.1",

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Estimators of others, to stand beside FDEN: contact models by least squares.
+r"""Estimators of others, to compare with FDEN: contact models by least squares.
 
 Each learns from samples of time [s], displacement into the tissue [m] and force [N], and predicts
 the force of a further motion. Kelvin-Voigt, :math:`F = K x + B \dot x`, is linear. Hunt-Crossley,

@@ -62,7 +62,7 @@ class SmoothMotion:
         at = int(np.searchsorted(self.stamps, found.stamp_ns))
         own = slice(at, None, -1) if sign > 0.0 else slice(at, None)
         ways, forces = _rising(self.places[at] - self.places[own], self.forces[own])
-        inside = ways <= _WAY
+        inside = (ways > 0.0) & (ways <= _WAY)  # the last step may be part of the hold
         line = np.polynomial.Polynomial.fit(-ways[inside], forces[inside], 2)
         return float(line.deriv()(0.0))
 

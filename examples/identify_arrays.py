@@ -1,18 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Identify tissue from arrays of time [s], force [N] and depth [mm]; no ROS is needed."""
+"""Identify tissue from arrays of time [s], force [N] and displacement [m]; no ROS is needed."""
 
 import numpy as np
 
-from fden_ros.core import ContactSummary, Pipeline
-from fden_ros.parameters import pipeline_config, read_parameter_file
+import fden_ros
 
-outputs = []
-pipeline = Pipeline(pipeline_config(read_parameter_file("examples/probe.yaml")), outputs.append)
-for time, force, depth in np.loadtxt("examples/press.csv", delimiter=",", skiprows=1):
-    pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)  # [m], stamps above 0 [ns]
-    pipeline.add_force(round(1e9 * (1 + time)), force)
-pipeline.finish()
-estimates = [o.estimate for o in outputs if isinstance(o, ContactSummary)]
-print(*((e.linear_stiffness, e.nonlinear_stiffness) for e in estimates), sep="\n")
+time, force, depth = np.loadtxt("examples/press.csv", delimiter=",", skiprows=1).T
+probe = {"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}
+for contact in fden_ros.fit(time, force, 1e-3 * depth, geometry=probe).contacts:
+    print(contact.G.value, contact.Gn.value)

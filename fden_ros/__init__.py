@@ -3,13 +3,24 @@
 
 """Identify soft tissue online with the FDEN model: fractional dynamics, exponential stress."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fden_ros.arrays import fit as fit
+
 __version__: str
 
 
-def __getattr__(name: str) -> str:
-    if name != "__version__":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    # Only where it is asked for: it takes as long to import as all that the core needs at first.
-    from importlib.metadata import version
+def __getattr__(name: str) -> Any:
+    # Only where it is asked for: each takes as long to import as all that the core needs at first.
+    if name == "__version__":
+        from importlib.metadata import version
 
-    return version(__name__)
+        return version(__name__)
+    if name == "fit":
+        from fden_ros.arrays import fit
+
+        return fit
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import os
 import shlex
 import signal
 import sys
@@ -19,6 +20,7 @@ from types import ModuleType
 import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
+from fden_ros.commands.options import OPTIONS, add_options
 from fden_ros.errors import Hint, InputError, without_ros
 
 #: Two interrupts within this time are one [s].
@@ -69,7 +71,9 @@ def build_parser() -> argparse.ArgumentParser:
             epilog=module.EPILOG + _exit_codes(module),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        module.add_arguments(command)
+        add_options(command, OPTIONS.get(name, ()))
+        if name == "benchmark":
+            module.add_arguments(command)
         command.set_defaults(parser=command, run=module.run)
     return parser
 
@@ -85,6 +89,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``fden``; return 0 when done, 1 when an input cannot be used, 2 on wrong usage."""
     try:
         parser = build_parser()
+        if "_ARGCOMPLETE" in os.environ:
+            import argcomplete  # the shell asks what may come next
+
+            argcomplete.autocomplete(parser)
         given = sys.argv[1:] if arguments is None else arguments
         args, unknown = parser.parse_known_args(given)
         if unknown:

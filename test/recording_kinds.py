@@ -129,7 +129,6 @@ STATED = {
     "thousands, points": SEMICOLONS
     + lines("{:.3f};{:,.4f};{:.4f}").translate(str.maketrans(",.", ".,")),
     "comments": "# made by hand\n" + NEWTONS + "# begins\n\n" + PLAIN,
-    "headings in a comment": "# run 7\n# time_s,force_N,depth_mm\n" + PLAIN,
     "trailing commas": NEWTONS.strip() + ",,\n" + PLAIN.replace("\n", ",,\n"),
     "other columns": "No,Load rate (N/s),Time (s),Load (N),Depth (mm),Load cell temperature (C)\n"
     + lines("1,5,{:.3f},{:.4f},{:.4f},21.5"),

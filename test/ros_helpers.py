@@ -284,7 +284,9 @@ PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
 
 
 #: Of what may change between two tests.
-DEFAULTS = {p.name: p.default for p in (*PARAMETERS, *NODE_PARAMETERS) if p.name != "autostart"}
+DEFAULTS = {
+    p.name: p.default for p in (*PARAMETERS, *NODE_PARAMETERS) if p.name != "autostart"
+} | {"use_sim_time": False}
 
 
 class Shared:

@@ -104,7 +104,7 @@ def test_a_contact_that_has_caught_up_is_pressing():
 def test_a_contact_that_was_interrupted_is_unknown_until_its_release():
     pipeline, items = pickle.loads(at(State.INTERRUPTED))
     outputs: list[Output] = []
-    pipeline._outlet.emit = outputs.append
+    pipeline._emit = outputs.append
     until(pipeline, items, lambda contact: contact.state is not State.INTERRUPTED)
     states = [o for o in outputs if isinstance(o, TissueState) and o.phase is not Phase.APPROACH]
     assert states and {state.status for state in states} == {Status.UNKNOWN}

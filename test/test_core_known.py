@@ -16,17 +16,14 @@ from pipeline_helpers import begun, identified, items_of, of_columns, parameters
 from property_helpers import first
 
 from benchmark.laws import (
-    ARM,
     Case,
     Recording,
     recorded,
-    run_stiffness,
 )
 from benchmark.measured import Test as Measured
 from benchmark.measured import identify as identify_measured
 from benchmark.other_laws import Law, springpot
-from benchmark.trial import fed, last_summaries
-from benchmark.trial import identified as run_through
+from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import (
@@ -40,7 +37,6 @@ from fden_ros.core.estimation import (
     StateIndex,
 )
 from fden_ros.core.law import FlatPunch
-from fden_ros.core.lift_off import LiftOff
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.advice import remarks
 from fden_ros.offline.replay import contact_object
@@ -50,16 +46,10 @@ from fden_ros.ros.messages import estimate_message, state_of, summary_message, s
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 from simulation.scenario import (
-    DisplacementSensor,
-    ForceSensor,
-    Geometry,
-    Scenario,
-    Site,
     Tissue,
     ramp_scenario,
 )
 from simulation.simulate import KNOWN_RIG, simulate
-from simulation.trajectory import Approach, RampHold
 
 G = ParameterSet.LINEAR_STIFFNESS
 ALPHA = ParameterSet.FRACTIONAL_ORDER
@@ -278,21 +268,6 @@ def press(
     return off, summary
 
 
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-def test_a_hold_that_sinks_into_the_noise_is_not_measured_by_its_highest_samples(seed):
-    """Of 970 Pa at the end of the ramp 350 are left after 40 s, under a noise of 97."""
-    off, _ = press(
-        (7600.0, 5.66, 0.33),
-        (4700.0, 4.0, 0.39),
-        speed=0.064,
-        depth=0.18,
-        hold=40.0,
-        noise=97.0,
-        seed=seed,
-    )
-    assert np.all(np.abs(off) < 4.0), off
-
-
 @pytest.mark.parametrize("seed", first(4, 6, 9))
 def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed):
     """The linear part of the curve ends at 12 Pa, under a noise of 43."""
@@ -322,49 +297,7 @@ def test_a_touch_whose_linear_part_noise_hides_leaves_g_open_and_shows_gn(seed):
     assert np.all(np.abs(off) < 3.0), (seed, off)
 
 
-def test_tissue_leaves_no_probe_that_holds_still():
-    leaving = LiftOff(0.01, 1e4, is_first=False)
-    # A force, then none as noise has it, at the same place, and farther out.
-    course = [(0.1, 0.2), (0.0, 0.2), (0.0, 0.1999), (0.0, 0.1)]
-    assert [leaving.is_free(0.01, *sample, None) for sample in course] == [False] * 3 + [True]
-
-
-def test_a_sphere_on_a_noisy_sensor_shows_g_and_gn():
-    """Its force begins without a slope, so that 5 mN hid where, and G was open by its prior."""
-    scenario = Scenario(
-        geometry=Geometry("sphere", radius_m=0.005),
-        sites=(Site(Tissue(1500.0, 6.0, 0.15), (RampHold(0.3, 0.5, 2.0, 0.4),)),),
-        approach=Approach(distance_m=0.005, speed_m_per_s=0.01, slow_distance_m=0.002),
-        force=ForceSensor(rate_hz=500.0, noise_n=5e-3),
-        displacement=DisplacementSensor(rate_hz=500.0, noise_m=1e-6),
-    )
-    recording = simulate(scenario)
-    outputs = run_through(recording, dict(recording.truth["identifier_parameters"]))[1]
-    (summary,) = last_summaries(outputs).values()
-    assert summary.estimate is not None
-    error = summary.estimate.mean[:2] - np.log([1500.0, 6.0])
-    assert np.all(summary.estimate.deviations[:2] < [0.2, 0.04])
-    assert np.all(np.abs(error) < 3.0 * summary.estimate.deviations[:2])
-
-
 # What a hold shows of a wrong alpha that was stated
-
-
-@pytest.mark.parametrize(
-    "which",
-    first(
-        ("fden", 2),
-        *(("poroelastic_20", 2), ("fden", 4), ("poroelastic_2", 3), ("quasi_linear", 1)),
-    ),
-)
-def test_in_a_hold_on_an_arm_no_softer_tissue_wins_by_the_motion_that_is_stated(which):
-    """The surface rests: of a soft tissue that says less, as its stated motion makes less force.
-
-    Weighed under its own errors a law without a bend won here: N/m was 0.4 of the truth.
-    """
-    name, number = which
-    in_hold = run_stiffness((name, "sphere", ARM), number)[2:]
-    assert all(one.is_known and one.is_inside for one in in_hold)
 
 
 # Alpha

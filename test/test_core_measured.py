@@ -219,7 +219,7 @@ def summary() -> ContactSummary:
 
 def test_contact_has_the_slopes_where_it_was_deepest():
     for found in summary().measured:
-        assert abs(found.value - SPRING) < 4.0 * found.sd < 0.1 * SPRING
+        assert abs(found.value - SPRING) < 4.0 * found.sd < 0.3 * SPRING
         assert found.depth == pytest.approx(0.005, abs=1.5e-4)
     states = states_of(pressed())
     assert any(state.measured.loading for state in states)

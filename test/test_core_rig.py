@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -16,53 +15,22 @@ from fault_helpers import outcome_of
 from fden_ros.core.estimation.proposals.place import Tissue as Belief
 from fden_ros.core.estimation.proposals.place import log_ratio
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts, first
+from property_helpers import counts
 
-from benchmark import presses
 from benchmark.presses import CASES, trial_of
-from benchmark.trial import truth_of
-from fden_ros.core.estimation.record import Record
-from fden_ros.core.outputs import ContactSummary, Flag, Phase, Status, TissueState
+from fden_ros.core.outputs import ContactSummary, Flag, Status, TissueState
 from simulation.scenario import (
     DisplacementSensor,
     Disturbances,
     ForceSensor,
-    Geometry,
-    Scenario,
     Site,
     Tissue,
     ramp_scenario,
 )
 from simulation.simulate import EXACT, simulate
-from simulation.trajectory import Approach, Palpation, RampHold
+from simulation.trajectory import Approach, Palpation
 
 # What is stated of the rig
-
-
-def test_a_long_hold_in_which_nothing_is_learned_does_not_move_alpha():
-    """Noise spoke of the compliance: alpha went on by a deviation in 30 s."""
-    tissue = Tissue(linear_stiffness=2234.0, nonlinear_stiffness=3.83, fractional_order=0.344)
-    scenario = Scenario(
-        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
-        sites=(Site(tissue, (RampHold(0.28, 0.25, 20.0, 0.6),)),),
-        force=ForceSensor(rate_hz=20.0, noise_stress_pa=5.1),
-        displacement=DisplacementSensor(rate_hz=20.0),
-    )
-    parameters = {
-        "geometry.area": math.pi * 1e-4,
-        "geometry.thickness": 0.02,
-        "prior.linear_stiffness": 185.0,
-        "prior.linear_stiffness_log_sd": 1.75,
-        "prior.nonlinear_stiffness": 7.2,
-        "prior.nonlinear_stiffness_log_sd": 0.6,
-        "prior.alpha": 0.46,
-        "prior.alpha_sd": 0.11,
-    }
-    _, outputs = identified(items_of(simulate(scenario, 1)), parameters)
-    held = [o.estimate for o in outputs if isinstance(o, TissueState) and o.phase is Phase.HOLDING]
-    early, late = held[120], held[-1]
-    moved = (late.fractional_order - early.fractional_order) / early.deviations[2]
-    assert abs(moved) < 0.3
 
 
 @pytest.mark.parametrize("numbers", counts(1, 3))
@@ -84,28 +52,6 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
         is_said = bool(contact.flags & Flag.RIG_PRIOR_CONFLICT) or not contact.converged
         assert contradicts is None or is_said == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
-
-
-@pytest.mark.parametrize("trial", first((100.0, 3), (100.0, 5), (250.0, 24)))
-def test_places_that_nothing_tells_apart_are_weighed_by_the_same_blocks(trial, monkeypatch):
-    """Rounding of the time since the first touch made other blocks of the second press of a place
-    than of the first of another, whose evidence was then 30 lower: alpha was 6 to 11 deviations
-    off without a flag.
-    """
-    rate, number = trial
-    monkeypatch.setattr(presses, "RATE_HZ", rate)
-    contacts = trial_of(replace(CASES["undisturbed"], sites=3), number, {}).contacts
-    assert len(contacts) == 3
-    for contact in contacts:
-        assert contact.claims
-        assert np.all(np.abs(contact.error) < 2.5 * contact.deviation)
-
-
-@pytest.mark.parametrize(("name", "number"), [("breathing_0.3mm", 60)])
-def test_a_touch_held_at_a_sample_leaves_equations_that_have_a_solution(name, number):
-    """Beside the stiffest of all unknowns, a law that is next to exact, rounding left none."""
-    contacts = trial_of(CASES[name], number, {}).contacts
-    assert [contact.claims for contact in contacts] == [True]
 
 
 def ratios(name, numbers):
@@ -303,80 +249,3 @@ def test_errors_of_late_touches_are_as_large_as_is_said(places):
     silent = np.abs(found.reshape(-1, 3))[np.array(claimed)] > 5.0
     assert not silent.any()
     assert np.mean(claimed) > 0.6
-
-
-# A delay that may be long
-
-
-LATE = {
-    "geometry.area": math.pi * 1e-4,
-    "geometry.thickness": 0.02,
-    "displacement.delay_sd": 0.1,
-}
-
-
-def late_press(seed: int, delay: float) -> Any:
-    """A press to a quarter of 20 mm and a hold of 2 s, the displacement stamped late [s]."""
-    draw = np.random.default_rng(1000 + seed)
-    tissue = Tissue(
-        linear_stiffness=math.exp(draw.uniform(math.log(2000.0), math.log(8000.0))),
-        nonlinear_stiffness=draw.uniform(6.0, 10.0),
-        fractional_order=draw.uniform(0.08, 0.32),
-    )
-    scenario = Scenario(
-        geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=0.02),
-        sites=(Site(tissue, (RampHold(0.3, 0.25, 2.0, 0.6),)),),
-        force=ForceSensor(rate_hz=200.0, noise_n=0.005),
-        displacement=DisplacementSensor(200.0, noise_m=5e-6, delay_s=delay),
-        approach=Approach(distance_m=0.004, speed_m_per_s=0.005, start_pause_s=2.0),
-    )
-    return simulate(scenario, seed)
-
-
-@pytest.mark.parametrize("numbers", counts(1, 12))
-@pytest.mark.parametrize("delay", [-0.05, 0.1, *first(0.02, 0.0, 0.05)])
-def test_a_delay_of_up_to_100_ms_is_learned_and_gives_no_wrong_number(delay, numbers):
-    converged = 0
-    for seed in range(numbers):
-        recording = late_press(seed, delay)
-        truth = truth_of(recording)
-        _, outputs = identified(items_of(recording), LATE)
-        (summary,) = summaries_of(outputs)
-        states = [o for o in outputs if isinstance(o, TissueState)]
-        known = [state for state in states if state.status is Status.CONVERGED]
-        for one in (*known, *([summary] if summary.converged else [])):
-            off = np.abs(one.estimate.mean - truth) / one.estimate.deviations
-            assert np.all(off < (3.0 if one is summary else 4.0)), (seed, off)
-        if not summary.converged:
-            continue
-        converged += 1
-        learned, sd = summary.estimate.delay
-        assert abs(learned - delay) < 3.0 * sd, (seed, learned, sd)
-        found = summary.apparent_stiffness
-        g, g_n, order = math.exp(truth[0]), math.exp(truth[1]), truth[2]
-        relaxed = found.time_scale**-order / math.gamma(1.0 - order)
-        stiffness = g * math.exp(0.25 * g_n - 1.0) * relaxed * math.pi * 1e-4 / 0.02
-        assert abs(found.value - stiffness) < 3.0 * found.sd
-    assert converged >= 0.6 * numbers
-
-
-@pytest.mark.parametrize("delay", [-0.05, 0.0321, 0.1])
-def test_a_delay_shifts_the_motion_and_its_derivative_is_exact(delay):
-    record = Record(delay=0.2)
-    for time in np.arange(0.0, 1.0, 0.005).tolist():
-        record.add(time, 0.1 * math.sin(6.0 * time), 1.0, is_observed=True)
-    points, step = record.points(), 1e-6
-    moved = points.earlier(delay, 0.0)
-    at = points.times + delay
-    inside = (at > 0.03) & (at < 0.96)
-    assert moved.compressions[inside] == pytest.approx(0.1 * np.sin(6.0 * at[inside]), abs=1e-4)
-    later, before = (points.earlier(delay + way, 0.0).compressions for way in (step, -step))
-    assert moved.rates == pytest.approx((later - before) / (2.0 * step), abs=1e-4)
-
-
-def test_a_short_delay_counts_as_before():
-    """The default is no wider than a block: there the column is linear."""
-    recording = late_press(0, 0.002)
-    parameters = LATE | {"displacement.delay_sd": 0.0025}
-    (summary,) = summaries_of(identified(items_of(recording), parameters)[1])
-    assert summary.converged and summary.estimate.delay is None

@@ -566,8 +566,8 @@ def test_mixed_faults_leave_the_clean_part_and_the_memory_as_they_were(seconds):
         assert abs(difference) < DEVIATIONS * sd, played
         emitter.last = None
         offset += round((duration + row.moved) * NANOSECONDS)
-        pipeline._outlet.emit = ignored
+        pipeline._emit = ignored
         sizes.append(len(pickle.dumps(pipeline)))
-        pipeline._outlet.emit = emitter
+        pipeline._emit = emitter
     assert emitter.count > 100 * len(played)
     assert max(sizes) < 1.2 * sizes[0] + 50_000, sizes

@@ -64,8 +64,13 @@ def live() -> Iterator[Live]:
         shared.stream(1.0)
         yield shared
         for message in bench.estimates + bench.summaries:
-            assert all(map(math.isfinite, floats_of(message)))
+            # What is not known is NaN.
+            assert not any(map(math.isinf, floats_of(message)))
     assert "Traceback" not in process.output
+    errors = [line for line in process.output.splitlines() if "[ERROR]" in line]
+    assert all("/identifier/estimate has 2 publishers" in line for line in errors)
+    if any("/estimate has 2" in one.status[0].message for one in bench.diagnostics):
+        assert errors
     # Throttled: one line in ten seconds, whatever comes.
     said = process.output.count("samples rejected in the last second")
     assert said < 3 + len(bench.diagnostics) / 5
@@ -289,12 +294,21 @@ def test_stamps_that_jump_far_ahead_and_back_are_followed(live):
     [
         (WrenchStamped, ReliabilityPolicy.RELIABLE, "2 publishers"),
         (JointState, ReliabilityPolicy.RELIABLE, "expected geometry_msgs/msg/WrenchStamped"),
-        (WrenchStamped, ReliabilityPolicy.BEST_EFFORT, "incompatible reliability"),
+        (WrenchStamped, ReliabilityPolicy.BEST_EFFORT, "best_effort where reliable is requested"),
     ],
 )
 def test_another_publisher_that_does_not_fit_is_said(live, kind, reliability, words):
     with another_publisher(kind, QoSProfile(depth=10, reliability=reliability)):
         live.wait_for_words(words)
+    live.recovers()
+
+
+def test_a_second_publisher_of_the_estimate_is_an_error(live):
+    node, words = live.bench.node, "/identifier/estimate has 2 publishers"
+    other = node.create_publisher(TissueEstimate, "/identifier/estimate", 10)
+    live.wait_for_words(words)
+    assert live.bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
+    node.destroy_publisher(other)
     live.recovers()
 
 

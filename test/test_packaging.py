@@ -37,6 +37,7 @@ PROGRAMS = {entry.name for entry in distribution("fden_ros").entry_points}
 
 # Distribution on the package index: the rosdep key that brings it.
 ROSDEP_KEYS = {
+    "argcomplete": "python3-argcomplete",
     "filterpy": "python3-filterpy-pip",
     "hypothesis": "python3-hypothesis",
     "jinja2": "python3-jinja2",
@@ -311,17 +312,15 @@ ROOMS = (
     "core.origin",
     "core.standing",
     "core.whereabouts",
-    "core.lessons",
     "core.site",
     "core.air_after",
-    "core.account",
+    "core.report",
     "core.site_contact",
     "core.sites",
     "core.strokes",
     "core.contact_session",
     "core.continuous_session",
     "core.input_warnings",
-    "core.outlet",
     "core.pipeline",
     "core",  # its public names
     "simulation",

@@ -29,7 +29,7 @@ from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check
 from fden_ros.recording.message_types import known_types, serialize, type_hash
-from fden_ros.recording.qos import RELIABLE, SENSOR_DATA
+from fden_ros.recording.qos import LATCHED, RELIABLE
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
@@ -50,7 +50,7 @@ def wrench(force: float, stamp_ns: int = START) -> WrenchStamped:
 
 def write_bag(folder: Path, count: int = 50, **options: Any) -> Path:
     with BagWriter(folder, **options) as bag:
-        bag.add_topic("/force", WRENCH, SENSOR_DATA)
+        bag.add_topic("/force", WRENCH, LATCHED)
         bag.add_topic("/joints", JOINTS)
         for i in range(count):
             bag.write("/force", wrench(i, START + i), START + i)
@@ -107,7 +107,7 @@ def test_a_bag_reads_back_as_written(tmp_path):
     assert bag.warnings == ()
     force, joints = bag.topics
     assert (force.name, force.type_name, force.message_count) == ("/force", WRENCH, 50)
-    assert (force.offered_qos, joints.offered_qos) == ((SENSOR_DATA,), (RELIABLE,))
+    assert (force.offered_qos, joints.offered_qos) == ((LATCHED,), (RELIABLE,))
     assert (force.encoding, force.type_hash) == ("ros2msg", type_hash(WRENCH))
     assert {message.topic for message in bag.messages(["/joints"])} == {"/joints"}
     with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints"):

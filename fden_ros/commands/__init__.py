@@ -5,7 +5,7 @@
 
 ``DESCRIPTION`` and ``EPILOG`` are what ``--help`` says before and after the arguments, the epilog
 with examples first, and ``EXIT_CODES``, where it is there, what its own exit codes mean.
-``add_arguments`` adds the arguments to a parser; ``run`` takes them and
+Its arguments are a row of :data:`fden_ros.commands.options.OPTIONS`; ``run`` takes them and
 returns the exit code. It calls ``args.parser.error`` where arguments do not go together, and
 raises :class:`~fden_ros.errors.InputError` where what they name cannot be used.
 """

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from pathlib import Path
 
 from fden_ros.commands.checkout import module
-from fden_ros.commands.command import number
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -28,24 +26,6 @@ examples:
                                         other tissue and noise, replacing the bag
   fden bag my_scenario.yaml -o my_bag   a scenario of your own; bags/*.yaml show the format
 """
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument(
-        "scenario", nargs="?", metavar="SCENARIO", help="name of a scenario, or a YAML file"
-    )
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="the bag folder to make")
-    parser.add_argument(
-        "--seed",
-        type=number(least=0, whole=True),
-        metavar="N",
-        help="seed of tissue and noise (default: the scenario's)",
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="replace the bag if it is there already"
-    )
-    parser.add_argument("--list", action="store_true", help="list the scenarios and exit")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
-from pathlib import Path
 
-from fden_ros.commands.command import count
-from fden_ros.commands.inputs import add_input_options, parameters_of, selection_of
+from fden_ros.commands.inputs import parameters_of, selection_of
 
 DESCRIPTION = """\
 Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
@@ -29,43 +26,11 @@ examples:
 Interrupted (Ctrl-C), it goes on from there the next time.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {
     0: "done (a broken bag is a row, and no contact is none)",
     1: "nothing could be done",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument(
-        "places",
-        nargs="+",
-        metavar="DIR_OR_GLOB",
-        help="folders of bags, bags, tables, or patterns; paths or URLs of s3, https, sftp",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the table, CSV; FILE.parquet: as Parquet too, next to FILE.csv",
-    )
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers",
-        type=count,
-        metavar="N",
-        default=len(os.sched_getaffinity(0)),
-        help="processes of this machine (default: one a processor core)",
-    )
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="the workers of a cluster of Dask: tcp://HOST:8786, or the scheduler's file",
-    )
-    add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -87,19 +52,24 @@ def run(args: argparse.Namespace) -> int:
             contacts += rows[0]["contacts"]
             if rows[0]["error"] is not None:
                 broken += 1
-                _tell_broken(rows[0]["bag"], rows[0]["error"])
+                bag, error = rows[0]["bag"], rows[0]["error"]
+                # The reason often begins with the path.
+                _say(f"broken: {error if bag in error else f'{bag}: {error}'}")
             show(done)
 
         try:
             if args.scheduler and left:
-                made = workers.cluster(args.scheduler, str(left[0]), _tell)
+                made = workers.cluster(args.scheduler, str(left[0]), _say)
             else:
                 made = workers.local(args.workers)
             with made as pool:
                 batch.run(left, work, results, pool, see)
         except KeyboardInterrupt:
             count_done = len(bags) - len(left) + done
-            _tell_interrupted(f"{args.output} has {count_done} of {len(bags)} bags")
+            _say(
+                f"interrupted: {args.output} has {count_done} of {len(bags)} bags; the same "
+                "command does the others"
+            )
             raise
         finally:
             results.close()
@@ -110,14 +80,5 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _tell_interrupted(what: str) -> None:
-    _tell(f"interrupted: {what}; the same command does the others")
-
-
-def _tell_broken(bag: str, error: str) -> None:
-    # The reason often begins with the path.
-    _tell(f"broken: {error if bag in error else f'{bag}: {error}'}")
-
-
-def _tell(line: str) -> None:
+def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)

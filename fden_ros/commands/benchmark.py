@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.commands.checkout import checkout, module
-from fden_ros.commands.command import Parser, add_json
+from fden_ros.commands.command import Parser
+from fden_ros.commands.options import JSON, add_options
 
 DESCRIPTION = """\
 Measure how good the package is, and hold the figures against their goals. Each benchmark prints
@@ -25,10 +26,10 @@ examples:
   fden benchmark robots --quick --json | jq '.goals[] | select(.met == false)'
   fden benchmark robots --help              arguments of this benchmark
 
-A goal is met, missed, or undecided where the run was too short to tell.
+A goal is met, missed, or undecided where the run was too short.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {0: "measured, whatever came out"}
 
 
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         one.set_defaults(parser=one)
         words = "less than a minute or two; goals may stay undecided"
         one.add_argument("--quick", action="store_true", help=words)
-        add_json(one)
+        add_options(one, [JSON])
         words = f"folder of {name}.json (default: results)"
         one.add_argument(
             "-o", "--output", type=Path, default=Path("results"), metavar="DIR", help=words
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _BenchmarkParser(Parser):
-    """Parser of one benchmark, which imports it only when it is asked for."""
+    """Parser of one benchmark, which imports it only when it is run."""
 
     benchmark = ""
 

@@ -53,11 +53,6 @@ positive = number(above=0.0)
 count = number(least=1, whole=True)
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
 def print_json(value: Any) -> int:
     """Print one JSON object; return the exit code of success."""
     json.dump(value, sys.stdout, allow_nan=False)

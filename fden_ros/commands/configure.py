@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fden_ros.commands.command import add_json, print_json, write
-from fden_ros.commands.inputs import add_selection_options, selection_of
+from fden_ros.commands.command import print_json, write
+from fden_ros.commands.inputs import selection_of
 from fden_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,51 +42,6 @@ a robot by name (--robot ur) has the headings of its recorder.
 
 #: What its exit codes say beside those of all commands.
 EXIT_CODES = {0: "a file was proposed"}
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        nargs="*",
-        metavar="RECORDING",
-        help="bags (folders, .mcap, .db3, .bag) or tables of one rig",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="parameter file to write"
-    )
-    parser.add_argument(
-        "--robot",
-        metavar="NAME",
-        help="topics and conventions of a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, "
-        "xarm; without a recording: a file from its conventions alone",
-    )
-    add_json(parser)
-    parser.add_argument(
-        "--rigid",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="RECORDING",
-        help="one of the recordings: in it something rigid was pressed",
-    )
-    parser.add_argument(
-        "--one-place",
-        action="store_true",
-        help="all presses are of one place: site.without_position is same in the file",
-    )
-    parser.add_argument(
-        "--frames",
-        metavar="BASE,PROBE",
-        help="the displacement is the path of frame PROBE in BASE, by /tf; found where a bag has "
-        "no other motion",
-    )
-    indenter = parser.add_argument_group("the indenter, which no recording shows")
-    indenter.add_argument("--flat-punch", type=float, metavar="AREA", help="face [m^2]")
-    indenter.add_argument("--thickness", type=float, metavar="H", help="of the tissue [m]")
-    indenter.add_argument("--sphere", type=float, metavar="R", help="radius of the tip [m]")
-    add_selection_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -233,6 +188,7 @@ def _survey(args: argparse.Namespace, readings: Sequence[Reading]) -> Survey:
             rigid,
             status.update,
             one_place=args.one_place,
+            units=readings[0].units,
         )
 
 
@@ -262,10 +218,6 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
         if missing:
             names = ", ".join(finding.subject for finding in missing)
             console.print(f"cannot tell: {names}; the file says what would")
-        for one in missing:
-            if one.proposed:
-                said = f"perhaps {value_text(one)} {one.evidence}"
-                console.print(escape(f"{one.subject}: {said}"))
         return
     rows = ((one.subject, escape(value_text(one)), escape(one.evidence)) for one in stated)
     console.print(table_of({"found": 20, "": 1, "by": 1}, rows))

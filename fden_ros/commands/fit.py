@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import add_json, number, positive, print_json
+from fden_ros.commands.command import print_json
 from fden_ros.experiments.kinds import EXPERIMENTS, Options, fit_file
 from fden_ros.written import written
 
@@ -59,36 +59,6 @@ _TITLES = {
     "phase": "by the phase",
     "coefficients": "by one coefficient a curve",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument("kind", choices=EXPERIMENTS, metavar="KIND", help=", ".join(EXPERIMENTS))
-    parser.add_argument("file", type=Path, metavar="FILE", help="a CSV file, or a folder of them")
-    add_json(parser)
-    numbers = parser.add_argument_group("what the file does not say")
-    numbers.add_argument(
-        "--stress", type=positive, metavar="PA", help="creep: the constant stress"
-    )
-    numbers.add_argument(
-        "--strain", type=positive, metavar="X", help="relaxation: the constant strain, a ratio"
-    )
-    numbers.add_argument(
-        "--from",
-        dest="start",
-        type=number(),
-        metavar="S",
-        help="leave out rows before this time (default: creep 1 s, otherwise none)",
-    )
-    numbers.add_argument(
-        "--alpha",
-        type=number(above=0.0, below=1.0),
-        metavar="A",
-        help="fractional order, if it is known (by default the paper's convention counts)",
-    )
-    numbers.add_argument(
-        "--alpha-sd", type=positive, metavar="SD", help="its standard deviation (default: exact)"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

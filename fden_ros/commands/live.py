@@ -14,7 +14,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from fden_ros.commands.command import positive
 from fden_ros.commands.monitor import watch
 from fden_ros.errors import InputError
 
@@ -34,14 +33,6 @@ NAMESPACE = "/fden_live"
 _STOP_TIMEOUT = 10.0
 #: Of prctl(2).
 _PR_SET_PDEATHSIG = 1
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    words = "parameters of the three nodes (default: config/tissue_simulator.yaml)"
-    parser.add_argument("--parameters", type=Path, metavar="FILE", help=words)
-    parser.add_argument("--fixed", action="store_true", help="fixed gains")
-    parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
 
 def run(args: argparse.Namespace) -> int:

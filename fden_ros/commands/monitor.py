@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import positive
-
 if TYPE_CHECKING:
     from fden_ros.nodes.monitor import Monitor
     from fden_ros.report.monitor import MonitorView
@@ -34,14 +32,6 @@ examples:
 _PERIOD = 0.2
 #: Where it is no terminal a line is printed so often [s].
 _LINE_PERIOD = 1.0
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument(
-        "identifier", nargs="?", default="/identifier", help="its name (default: /identifier)"
-    )
-    parser.add_argument("--duration", type=positive, metavar="S", help="stop after this time [s]")
 
 
 def run(args: argparse.Namespace) -> int:

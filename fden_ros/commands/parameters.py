@@ -28,10 +28,6 @@ _HEADER = """\
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing: it takes no arguments."""
-
-
 def run(args: argparse.Namespace) -> int:
     """Print the parameters; return the exit code."""
     print(parameter_file(), end="")

@@ -7,26 +7,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
-from typing import Any
 
-from fden_ros.commands.command import positive
-
-DESCRIPTION = "Publish a bag on live topics; beside a robot use ros2 bag play.\n"
+DESCRIPTION = "Publish a bag on live topics; on a robot use ros2 bag play.\n"
 EPILOG = "examples:\n  fden play ramp_bag --rate 5 --remap /force:=/ft/wrench\n"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a bag")
-    parser.add_argument("--rate", type=positive, default=1.0, metavar="R", help="speed")
-    renamed: dict[str, Any] = {
-        "type": _renamed,
-        "nargs": "+",
-        "default": [],
-        "metavar": "FROM:=TO",
-    }
-    parser.add_argument("--remap", help="publish a topic under another name", **renamed)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,9 +22,3 @@ def run(args: argparse.Namespace) -> int:
         print(f"warning: {warning}", file=sys.stderr)
     print(f"sent {play(bag, args.rate, dict(args.remap))} messages", file=sys.stderr)
     return 0
-
-
-def _renamed(text: str) -> list[str]:
-    if text.count(":=") != 1:
-        raise argparse.ArgumentTypeError(f"expected FROM:=TO, got {text!r}")
-    return text.split(":=")

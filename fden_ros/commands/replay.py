@@ -8,13 +8,10 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fden_ros.commands.command import add_json, print_json
+from fden_ros.commands.command import print_json
 from fden_ros.commands.inputs import (
-    add_input_options,
-    add_recording,
     parameters_of,
     selection_of,
 )
@@ -47,22 +44,11 @@ examples:
 The configuration is the identifier node's own parameter file.
 """
 
-#: What its exit codes say beside those of all commands.
+#: What its exit codes say next to those of all commands.
 EXIT_CODES = {
     0: "a contact is converged, or N/m is known",
     _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    add_recording(parser)
-    add_input_options(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT", help="write what the node publishes as a bag"
-    )
-    parser.add_argument("--force", action="store_true", help="replace OUT if it is there already")
-    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:

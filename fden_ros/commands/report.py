@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from fden_ros.commands.command import write
 from fden_ros.commands.inputs import (
-    add_input_options,
-    add_recording,
     parameters_of,
     selection_of,
 )
@@ -31,13 +28,6 @@ examples:
 
 A table, a row a contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
 """
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    add_recording(parser)
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page, HTML")
-    add_input_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

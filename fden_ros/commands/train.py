@@ -6,10 +6,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from fden_ros.commands.command import write
-from fden_ros.commands.inputs import add_config_options, parameters_of
+from fden_ros.commands.inputs import parameters_of
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
@@ -27,15 +26,6 @@ then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml
 
 The prior of the estimator is in every estimate: make that of --config wide.
 """
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
-    parser.add_argument("labelled", nargs="+", metavar="TISSUE=TABLE", help="as above")
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE", help="the library, YAML"
-    )
-    add_config_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

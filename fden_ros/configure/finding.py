@@ -15,7 +15,6 @@ Seconds = tuple[tuple[float, float], ...]
 
 _AIR = "begin with 2 s in the air, and lift off between presses"
 _STILL = "hold still in the air for 2 s"
-_UNIT = "say which: that of REP 103 is taken"
 PRESS = (
     "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
 )
@@ -48,11 +47,12 @@ class Subject:
 SUBJECTS: Mapping[str, Subject] = {
     "force axis": Subject("rad", "force", PRESS),
     "displacement axis": Subject("rad", "displacement", PRESS),
-    "force unit": Subject(motion=_UNIT),
-    "displacement unit": Subject(motion=_UNIT),
+    "force unit": Subject(),
+    "displacement unit": Subject(),
     "force rate": Subject("Hz"),
     "force noise": Subject("N", motion=_STILL),
     "force resolution": Subject("N"),
+    "force filter": Subject("s"),
     "displacement rate": Subject("Hz"),
     "displacement noise": Subject("m", motion=_STILL),
     "displacement resolution": Subject("m"),
@@ -64,7 +64,8 @@ SUBJECTS: Mapping[str, Subject] = {
     "delay": Subject(
         "s",
         "displacement",
-        "turn the tool in the air at half a turn in 2 s, or press a rigid plate twice",
+        "turn the tool in the air at half a turn in 2 s, press a rigid plate twice, or press "
+        "tissue fast, stop at once and hold for 2 s",
     ),
     "compliance": Subject(
         "m/N",
@@ -99,10 +100,10 @@ class Finding:
         What to do so that the next recording tells.
     parameters : mapping
         Values of the parameter file, by dotted name.
-    proposed : mapping
-        Values that the parameter file holds as a comment: they may not be right.
     probability : float, optional
         Of a sign, from the data.
+    own_unit : str
+        That of value and deviation where it is the recording's own; empty: the SI unit.
     claim : bool
         Whether it is stated; False: the recording cannot tell, and `motion` says what would.
     """
@@ -114,14 +115,14 @@ class Finding:
     seconds: Seconds = ()
     motion: str = ""
     parameters: Mapping[str, Value] = field(default_factory=dict)
-    proposed: Mapping[str, Value] = field(default_factory=dict)
     claim: bool = True
     probability: float | None = None
+    own_unit: str = ""
 
     @property
     def unit(self) -> str:
-        """SI unit."""
-        return SUBJECTS[self.subject].unit
+        """Unit of value and deviation."""
+        return self.own_unit or SUBJECTS[self.subject].unit
 
 
 def unknown(

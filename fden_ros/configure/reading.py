@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
@@ -16,15 +16,17 @@ import numpy as np
 from fden_ros.configure.session import Mask
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.transforms import FrameTree
+from fden_ros.configure.units import NOT_STATED, STATED_SI, Unit, unit_of
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.parameters import FORCES, PLACES, check
 from fden_ros.progress import progress
-from fden_ros.recording.bag_files import RawMessage, Topic
+from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.headings import Heading
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import BagSource, Selection
-from fden_ros.recording.table import TableReader, stated_columns
+from fden_ros.recording.table import Column, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
 from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
 
@@ -63,6 +65,8 @@ class Reading:
     warnings : tuple of str
     parameters : dict
         Values of the parameter file that say where force and displacement are, by dotted name.
+    units : dict
+        What is stated of the unit of each; the streams are in SI units then.
     """
 
     path: Path
@@ -74,6 +78,7 @@ class Reading:
     frames: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     parameters: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, Unit] = field(default_factory=lambda: dict(STATED_SI))
 
 
 def read(
@@ -101,14 +106,12 @@ def read(
     carriers = [t for t in topics if t.type_name in TYPE_NAMES["displacement"].values()]
     has_way = any(t.message_count for t in carriers) or "displacement" in chosen.topics
     has_transforms = any(topic.type_name == TRANSFORMS for topic in topics)
-    if frames is not None or (has_transforms and not has_way):
-        return _read_transforms(Path(path), chosen, frames)
-    return _read_bag(Path(path), chosen)
+    by_frames = frames is not None or (has_transforms and not has_way)
+    return _read_bag(Path(path), chosen, frames, by_frames=by_frames)
 
 
 def _read_table(path: Path, selection: Selection) -> Reading:
     columns = selection.columns or stated_columns(path)
-    selection = Selection(columns=columns, where=selection.where)
     table = TableReader(path, columns, selection.where)
     stamps, forces, places = table.stamps, table.force[:, None], table.displacement[:, None]
     good = np.isfinite(np.hstack([forces, places]))
@@ -121,37 +124,48 @@ def _read_table(path: Path, selection: Selection) -> Reading:
     (force_times, force), (times, motion) = (_times(stamps, first, good[:, i]) for i in (0, 1))
     streams = Streams(str(path), force_times, forces[force], times, places[motion])
     named = {"force": columns.force, "displacement": columns.displacement}
-    inputs = {stream: table.named(column) for stream, column in named.items()}
-    return Reading(path, streams, selection, inputs, warnings=table.warnings)
+    return Reading(
+        path,
+        streams,
+        Selection(columns=columns, where=selection.where),
+        {stream: table.named(column) for stream, column in named.items()},
+        warnings=table.warnings,
+        units={
+            stream: _unit_of_column(stream, column, is_found=selection.columns is None)
+            for stream, column in named.items()
+        },
+    )
 
 
-@dataclass
-class Column:
+def _unit_of_column(stream: str, column: Column, *, is_found: bool) -> Unit:
+    """Return the unit that a factor or a heading states; a column that was found has one."""
+    factor = None if column.factor is None else abs(float(column.factor))
+    factor = Heading(column.name).factor(stream) if factor is None else factor
+    return unit_of(stream, factor or 1.0) if factor or is_found else NOT_STATED
+
+
+class _Stream:
     """Collects one stream from messages of a topic.
 
     Parameters
     ----------
-    topic : Topic
-    field : str, optional
-        Of the messages; None: the type says what is read.
-    stream : str
+    name : str
         ``force`` or ``displacement``.
-    is_stamped : bool
-        Whether the stamps of headers count, and not the times of recording.
+    topic : Topic
+    selection : Selection
+        Which may name a field of the messages; otherwise the type says what is read.
     """
 
-    topic: Topic
-    field: str | None
-    stream: str
-    is_stamped: bool = True
-    frame: str = ""
-    damaged: int = 0
-
-    def __post_init__(self) -> None:
-        self._decode = decoder_of(self.topic)
-        self._kind = None if self.field else _KINDS.get(self.topic.type_name)
-        path = self.field or (self._kind.field if self._kind is not None else "")
-        self._path = FieldPath(path) if path else None
+    def __init__(self, name: str, topic: Topic, selection: Selection) -> None:
+        self.name, self.topic = name, topic
+        self._is_stamped = selection.stamps == "header"
+        named = selection.fields.get(name)
+        self._decode = decoder_of(topic)
+        self._kind = None if named else _KINDS.get(topic.type_name)
+        text = named or (self._kind.field if self._kind is not None else "")
+        self._path = FieldPath(text) if text else None
+        self.unit = unit_of(name, 1.0) if topic.type_name in MESSAGES else NOT_STATED
+        self.frame, self.damaged = "", 0
         self.stamps: list[int] = []
         self.values: list[tuple[float, ...]] = []
         self.turns: list[tuple[float, ...]] = []
@@ -169,9 +183,8 @@ class Column:
             self.damaged += 1
             return
         header = getattr(message, "header", None)
-        stamp = log_time_ns
-        if header is not None and self.is_stamped:
-            stamp = stamp_ns(header.stamp)
+        is_stamped = header is not None and self._is_stamped
+        stamp = stamp_ns(header.stamp) if header is not None and is_stamped else log_time_ns
         if value is None or stamp == 0:
             # A stamp of 0 marks data that are not valid, as with CRTK.
             self.damaged += 1
@@ -183,12 +196,12 @@ class Column:
             torque = attrgetter(self._kind.torque)(message)
             self.torques.append((torque.x, torque.y, torque.z))
         turn = self._path.orientation_beside(message) if self._path is not None else None
-        if self.stream == "displacement" and turn is not None:
+        if self.name == "displacement" and turn is not None:
             self.turns.append(turn)
 
     def _value(self, message: Any) -> tuple[float, ...] | None:
         if self._path is None:
-            values = message.effort if self.stream == "force" else message.position
+            values = message.effort if self.name == "force" else message.position
             self.joints = self.joints or tuple(message.name)
             same = tuple(message.name) == self.joints and len(values) >= len(self.joints) > 0
             return tuple(float(v) for v in values[: len(self.joints)]) if same else None
@@ -199,52 +212,78 @@ class Column:
         return (found,) if isinstance(found, float) else found
 
 
-def _read_bag(path: Path, selection: Selection) -> Reading:
-    source = BagSource(path, check({}), selection)
-    columns = {
-        stream: Column(topic, selection.fields.get(stream), stream, selection.stamps == "header")
-        for stream, topic in source.topics.items()
-    }
-
-    def take(message: RawMessage) -> None:
-        for column in columns.values():
-            if column.topic.name == message.topic:
-                column.add(message.data, message.log_time_ns)
-
-    _read_messages(source, {column.topic.name for column in columns.values()}, take)
-    try:
-        found = reading_of(path, columns, selection)
-    except InputError as error:
-        # What is wrong with the stamps comes first: it is the reason, most likely.
-        raise InputError("; ".join((*source.stamp_problems, str(error)))) from None
-    return replace(found, inputs=source.inputs, warnings=(*source.warnings, *found.warnings))
-
-
-def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Reading:
-    """Return a recording whose displacement stands in transforms, the force turned with them."""
+def _read_bag(path: Path, selection: Selection, frames: str | None, *, by_frames: bool) -> Reading:
+    """Return a bag; `by_frames`: its displacement stands in transforms."""
     any_frames = {"frames.base": "base", "frames.probe": "probe", "displacement.message": "tf"}
-    source = BagSource(path, check(any_frames), selection)
-    is_stamped = selection.stamps == "header"
-    force = Column(source.force, selection.fields.get("force"), "force", is_stamped)
+    source = BagSource(path, check(any_frames if by_frames else {}), selection)
     tree = FrameTree(str(path))
+    streams = {
+        name: _Stream(name, source.topics[name], selection)
+        for name in (("force",) if by_frames else ("force", "displacement"))
+    }
+    with progress(f"reading {source.reader.path.name}", source.total) as show:
+        topics = {topic.name for topic in source.topics.values()}
+        for done, message in enumerate(source.messages(topics), start=1):
+            for stream in streams.values():
+                if stream.topic.name == message.topic:
+                    stream.add(message.data, message.log_time_ns)
+            if message.type_name == TRANSFORMS:
+                tree.add(decode(message))
+            if done % 2000 == 0:
+                show(done)
+    for name, stream in streams.items():
+        if len(stream.stamps) < _LEAST_SAMPLES:
+            # What is wrong with the stamps comes first: it is the reason, most likely.
+            words = (
+                f"{path}: {stream.topic.name} has {len(stream.stamps)} usable samples of the "
+                f"{name}: at least {_LEAST_SAMPLES} are needed"
+            )
+            raise InputError("; ".join((*source.stamp_problems, words)))
+    left_out = (
+        f"{stream.topic.name}: {stream.damaged} messages without stamp or value are left out"
+        for stream in streams.values()
+        if stream.damaged
+    )
+    warnings = (*source.warnings, *left_out)
+    if by_frames:
+        return _moved_by_frames(path, streams["force"], tree, selection, frames, warnings)
+    moved = streams["displacement"]
+    places, turns = (np.array(values, dtype=float) for values in (moved.values, moved.turns))
+    stamps = np.array(moved.stamps, dtype=np.int64)
+    found, joints = _moving_joints(
+        _streams(str(path), streams["force"], stamps, places, turns), streams
+    )
+    return Reading(
+        path,
+        found,
+        selection,
+        source.inputs,
+        {name: stream.topic.type_name for name, stream in streams.items()},
+        joints,
+        {name: stream.frame for name, stream in streams.items()},
+        warnings,
+        units={name: stream.unit for name, stream in streams.items()},
+    )
 
-    def take(message: RawMessage) -> None:
-        if message.topic == force.topic.name:
-            force.add(message.data, message.log_time_ns)
-        else:
-            tree.add(decode(message))
 
-    _read_messages(source, {topic.name for topic in source.topics.values()}, take)
+def _moved_by_frames(
+    path: Path,
+    force: _Stream,
+    tree: FrameTree,
+    selection: Selection,
+    frames: str | None,
+    warnings: tuple[str, ...],
+) -> Reading:
+    """Return a recording whose displacement stands in transforms, the force turned with them."""
     base, probe = tree.frames_for(frames, force.frame)
     moved = tree.path(base, probe)
-    if min(len(force.stamps), moved.stamps.size) < _LEAST_SAMPLES:
+    if moved.stamps.size < _LEAST_SAMPLES:
         raise InputError(
-            f"{path}: {len(force.stamps)} forces and {moved.stamps.size} transforms of {probe} in "
-            f"{base}: at least {_LEAST_SAMPLES} of each are needed"
+            f"{path}: {moved.stamps.size} transforms of {probe} in {base}: at least "
+            f"{_LEAST_SAMPLES} are needed"
         )
     turned = tree.path(base, force.frame or probe, np.array(force.stamps, dtype=np.int64)).turns
-    values = [tuple(value) for value in turned.apply(np.array(force.values, dtype=float))]
-    force.values = values
+    force.values = [tuple(value) for value in turned.apply(np.array(force.values, dtype=float))]
     return Reading(
         path,
         _streams(str(path), force, moved.stamps, moved.places),
@@ -253,59 +292,14 @@ def _read_transforms(path: Path, selection: Selection, frames: str | None) -> Re
         {"force": force.topic.type_name, "displacement": TRANSFORMS},
         {},
         {"force": base},
-        source.warnings,
+        warnings,
         {"frames.base": base, "frames.probe": probe},
-    )
-
-
-def _read_messages(
-    source: BagSource, topics: Collection[str], take: Callable[[RawMessage], None]
-) -> None:
-    with progress(f"reading {source.reader.path.name}", source.total) as show:
-        for done, message in enumerate(source.messages(topics), start=1):
-            take(message)
-            if done % 2000 == 0:
-                show(done)
-
-
-def reading_of(path: Path, columns: Mapping[str, Column], selection: Selection) -> Reading:
-    """Return what the topics of ``force`` and ``displacement`` have carried so far.
-
-    Raises
-    ------
-    InputError
-        If one of them has too few samples.
-    """
-    for stream, column in columns.items():
-        if len(column.stamps) < _LEAST_SAMPLES:
-            raise InputError(
-                f"{path}: {column.topic.name} has {len(column.stamps)} usable samples of the "
-                f"{stream}: at least {_LEAST_SAMPLES} are needed"
-            )
-    moved = columns["displacement"]
-    places, turns = (np.array(values, dtype=float) for values in (moved.values, moved.turns))
-    stamps = np.array(moved.stamps, dtype=np.int64)
-    streams = _streams(str(path), columns["force"], stamps, places, turns)
-    streams, joints = _moving_joints(streams, columns)
-    left_out = tuple(
-        f"{column.topic.name}: {column.damaged} messages without stamp or value are left out"
-        for column in columns.values()
-        if column.damaged
-    )
-    return Reading(
-        path,
-        streams,
-        selection,
-        {stream: column.topic.name for stream, column in columns.items()},
-        {stream: column.topic.type_name for stream, column in columns.items()},
-        joints,
-        {stream: column.frame for stream, column in columns.items()},
-        left_out,
+        {"force": force.unit, "displacement": unit_of("displacement", 1.0)},
     )
 
 
 def _streams(
-    name: str, force: Column, stamps: Any, places: Array, turns: Array | None = None
+    name: str, force: _Stream, stamps: Any, places: Array, turns: Array | None = None
 ) -> Streams:
     force_stamps = np.array(force.stamps, dtype=np.int64)
     first = int(min(force_stamps.min(), stamps.min()))
@@ -337,7 +331,7 @@ def _times(stamps: Any, first: int, good: Mask) -> tuple[Array, Any]:
 
 
 def _moving_joints(
-    streams: Streams, columns: Mapping[str, Column]
+    streams: Streams, columns: Mapping[str, _Stream]
 ) -> tuple[Streams, dict[str, str]]:
     """Return the streams with that joint whose motion goes with the force."""
     force, moved = columns["force"].joints, columns["displacement"].joints

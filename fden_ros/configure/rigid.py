@@ -16,8 +16,9 @@ from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.sampling import step_of
 from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.statistics import fit, pooled
+from fden_ros.configure.statistics import pooled
 from fden_ros.core.arrays import Array
+from fden_ros.experiments.regression import linear
 
 #: Delays that are tried [s], and the steps of Gauss and Newton from the best of them.
 _DELAYS = np.linspace(-0.03, 0.08, 12)
@@ -124,7 +125,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
 
     def misfit(delay: float) -> float:
         columns, motion = design(delay, (grid, smooth))
-        return fit(columns[:, ::2], motion).sd if motion.size >= _LEAST_SAMPLES else math.inf
+        return linear(columns[:, ::2], motion).rms if motion.size >= _LEAST_SAMPLES else math.inf
 
     misfits = [misfit(float(delay)) for delay in _DELAYS]
     if not np.isfinite(misfits).any():
@@ -136,11 +137,11 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         columns, motion = design(delay, force)
         if motion.size < _LEAST_SAMPLES:
             return None
-        found = fit(columns, motion)
-        slope = float(found.solution[0])
-        late = -float(found.solution[1]) / (slope if abs(slope) > 1e-12 else 1e-12)
+        found = linear(columns, motion)
+        slope = float(found.values[0])
+        late = -float(found.values[1]) / (slope if abs(slope) > 1e-12 else 1e-12)
         delay = min(max(delay + late, float(_DELAYS[0])), float(_DELAYS[-1]))
-    sds = np.sqrt(np.diag(found.covariance))
+    sds = found.sds
     noise = float(np.linalg.norm(session.motion_noise * into))
     steps = [step_of(column) or 0.0 for column in streams.position.T]
     noise = max(noise, max(steps) / math.sqrt(12.0))
@@ -152,7 +153,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         float(sds[0]),
         delay,
         float(sds[1]) / max(abs(slope), 1e-12),
-        found.sd < limit and _is_whole(session, contact, into, noise),
+        found.rms < limit and _is_whole(session, contact, into, noise),
         float(push.max()) / max(float(np.ptp(moved)), 1e-9),
     )
 

@@ -9,16 +9,19 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import signal
 
 from fden_ros.configure.axes import Axis
+from fden_ros.configure.filtering import Filter, find_filter
 from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
-from fden_ros.configure.statistics import apart_from_neighbours, fit, noise_of, pooled
+from fden_ros.configure.statistics import apart_from_neighbours, noise_of, pooled
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact import ContactConfig, least_noise
 from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.parameter import TINY
 from fden_ros.core.strokes import REMEDY
+from fden_ros.experiments.regression import linear
 from fden_ros.parameters import Value
 
 #: A gap is ten usual steps and at least this long [s].
@@ -59,7 +62,8 @@ def _all(sessions: Sequence[Session]) -> Seconds:
 
 def _rate(stream: str, sessions: Sequence[Session]) -> Finding:
     steps = np.concatenate([np.diff(_values(stream, session)[0]) for session in sessions])
-    usual = float(np.median(steps))
+    # Samples that come in bursts have a usual step of nearly 0.
+    usual = max(float(np.median(steps)), float(steps.mean()))
     is_gap = (steps > _GAP_STEPS * usual) & (steps > _GAP)
     mean, jitter = float(steps[~is_gap].mean()), float(steps[~is_gap].std())
     evidence = f"jitter {1e3 * jitter:.2g} ms"
@@ -82,6 +86,8 @@ def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Findi
             if stop - start >= 8:
                 part = slice(start, stop)
                 apart.append(apart_from_neighbours(times[part], line[part, None]).ravel())
+    if stream == "force" and find_force_filter(sessions, axis) is not None:
+        return _smooth_noise(sessions, axis)
     count = sum(part.size for part in apart)
     if count < _LEAST:
         return _noise_in_motion(stream, sessions)
@@ -100,6 +106,46 @@ def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Findi
         floor = {"force.noise_floor": max(least_noise(value), TINY)}
         evidence += "; below the default of force.noise_floor, which would hide presses"
     return Finding(subject, value, sd, evidence, _all(sessions), parameters=floor)
+
+
+def _in_air(sessions: Sequence[Session], axis: Axis) -> list[Array]:
+    """Return the force along the axis in each stretch of air."""
+    found = []
+    for session in sessions:
+        times = session.streams.force_times
+        for first, last in runs(session.air) if session.leaves else ():
+            inside = (times >= session.edges[first]) & (times < session.edges[last])
+            found.append(session.unloaded[inside] @ axis.direction)
+    return found
+
+
+def find_force_filter(sessions: Sequence[Session], axis: Axis | None) -> Filter | None:
+    """Return the low-pass filter that the noise of the force in the air shows."""
+    if axis is None:
+        return None
+    steps = np.concatenate([np.diff(session.streams.force_times) for session in sessions])
+    return find_filter(_in_air(sessions, axis), 1.0 / float(np.median(steps)))
+
+
+def filter_findings(found: Filter | None) -> tuple[Finding, ...]:
+    """Return what to say of a filter; nothing where none is seen."""
+    if found is None:
+        return ()
+    evidence = (
+        f"the noise in the air ends at {found.cutoff:.2g} Hz: a low-pass filter is on the force, "
+        "in the sensor or the driver"
+    )
+    motion = "switch the filter off, or raise its frequency: it hides the touch"
+    return (Finding("force filter", found.delay, found.sd, evidence, motion=motion),)
+
+
+def _smooth_noise(sessions: Sequence[Session], axis: Axis | None) -> Finding:
+    """Return the noise of a filtered force, whose neighbours are alike."""
+    assert axis is not None
+    parts = [signal.detrend(part) for part in _in_air(sessions, axis) if part.size > _LEAST]
+    value = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    evidence = "in the air; it is filtered, so that neighbouring samples are alike"
+    return Finding("force noise", value, 0.2 * value, evidence, _all(sessions))
 
 
 def _noise_in_motion(stream: str, sessions: Sequence[Session]) -> Finding:
@@ -176,12 +222,12 @@ def _bias(sessions: Sequence[Session], axis: Axis, load_sd: float) -> Finding:
                 continue
             inside = (session.streams.force_times >= start) & (session.streams.force_times < end)
             values = session.unloaded[inside] @ axis.direction
-            found = fit(np.ones((values.size, 1)), values)
+            found = linear(np.ones((values.size, 1)), values)
             zero = session.streams.start
             return Finding(
                 "force bias",
-                float(found.solution[0]),
-                math.hypot(math.sqrt(float(found.covariance[0, 0])), load_sd),
+                float(found.values[0]),
+                math.hypot(float(found.sds[0]), load_sd),
                 "mean force along the axis, less the tool's weight; measured anew before each "
                 "contact",
                 ((start - zero, end - zero),),
@@ -197,9 +243,9 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
         if times.size < 10 or float(np.ptp(times)) < _SPREAD:
             continue
         design = np.stack([times - times.mean(), np.ones_like(times)], axis=1)
-        found = fit(design, session.force[session.air] @ axis.direction)
-        slopes.append(float(found.solution[0]))
-        sds.append(math.sqrt(float(found.covariance[0, 0])))
+        found = linear(design, session.force[session.air] @ axis.direction)
+        slopes.append(float(found.values[0]))
+        sds.append(float(found.sds[0]))
         seconds += session.air_seconds()
     if not slopes:
         return unknown(

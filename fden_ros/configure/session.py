@@ -14,12 +14,15 @@ import numpy as np
 
 from fden_ros.configure.finding import Seconds
 from fden_ros.configure.signs import Course, Mask, Signs, find_signs
-from fden_ros.configure.statistics import fit, noise_of
+from fden_ros.configure.statistics import apart_from_neighbours, noise_of
 from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
+from fden_ros.experiments.regression import linear
 
 #: Chunks [s] average the noise; each holds at least 4 samples of force and 3 of position.
 _CHUNK = 0.05
+#: Where the force is calmest over so many chunks, as in the air, they show its noise.
+_CALM = 10
 #: The tool turns above this rate [rad/s].
 _TURNING = 0.02
 #: A change counts from 6 standard deviations of a chunk, and 0.3 % of the range of the force.
@@ -131,8 +134,12 @@ class Session:
 
     @cached_property
     def force_chunk_noise(self) -> Array:
-        """Standard deviation of the force's means (k,)."""
-        return self.force_noise / math.sqrt(self._per_chunk(self.streams.force_times))
+        """Standard deviation of the force's means (k,), which noise that is not white widens."""
+        white = self.force_noise / math.sqrt(self._per_chunk(self.streams.force_times))
+        apart = apart_from_neighbours(self.times, self.force)
+        parts = np.array_split(apart, max(len(apart) // _CALM, 1))
+        calm = np.quantile([np.sqrt(np.mean(part**2, axis=0)) for part in parts], 0.1, axis=0)
+        return np.maximum(white, calm)
 
     @cached_property
     def motion_chunk_noise(self) -> Array:
@@ -362,9 +369,9 @@ def _is_air(times: Array, height: Array, motion: Array, air: Mask, still: Mask) 
     if longest < _TRAVEL * float(np.ptp(motion[pressed])):
         return False
     design = np.stack([motion, np.ones_like(times), times - times[0]], axis=1)
-    free = fit(design[air], height[air])
+    free = linear(design[air], height[air])
     change, steps = np.diff(height), np.diff(motion)
     contact = still[1:] & still[:-1] & (pressed[1:] | pressed[:-1])
     in_contact = float(steps[contact] @ change[contact]) / float(steps[contact] @ steps[contact])
-    slope, sd = float(free.solution[0]), math.sqrt(float(free.covariance[0, 0]))
+    slope, sd = float(free.values[0]), float(free.sds[0])
     return slope + 2.0 * sd < _FLAT * in_contact

@@ -130,11 +130,7 @@ def _log_likelihoods(fits: Sequence[_Fit]) -> Array:
     """Return those of a Gaussian whose variance is not known (4,)."""
     misfits = np.maximum([one.misfit for one in fits], 1e-300)
     nearest = fits[int(np.argmin(misfits))].residual
-    # Neighbours that hang together count for less.
-    size = max(float(nearest @ nearest), 1e-300)
-    together = float(nearest[1:] @ nearest[:-1]) / size if nearest.size > 1 else 0.0
-    together = min(max(together, 0.0), 0.99)
-    count = nearest.size * (1.0 - together) / (1.0 + together)
+    count = independent(nearest)
     return np.asarray(-0.5 * count * np.log(misfits))
 
 
@@ -168,28 +164,62 @@ def _fitted(course: Course, first: int, last: int, reading: tuple[float, float])
     seen = course.seen[span]
     if seen.sum() < _LEAST_CHUNKS:
         return _Fit(np.empty(0), 0.0)
-    since = course.times[span] - course.times[first]
     push, depth = reading[0] * course.push[span], reading[1] * course.motion[span]
-    free = [np.ones_like(since), since, *(np.exp(-since / time) for time in _TIMES)]
-    axes = np.linalg.qr(np.stack(free, axis=1)[seen])[0]
-    columns = np.column_stack([_contact(since, depth, push), push])[seen]
+    knots = _knots(depth, push)
+    residual, count = contact_fit(course.times[span], push, depth, knots, _TIMES, seen)
+    return _Fit(residual, float(residual @ residual) + 2.0 * count * course.noise**2)
+
+
+def contact_fit(
+    times: Array,
+    push: Array,
+    depth: Array,
+    knots: Array,
+    relaxation: Sequence[float],
+    seen: Mask | None = None,
+) -> tuple[Array, int]:
+    """Fit the force of a contact to samples (n,); return the residual and how many weights count.
+
+    Parameters
+    ----------
+    times, push, depth : Array
+        At one step, (n,).
+    knots : Array
+        Depths at which springs and Maxwell elements begin (k,).
+    relaxation : sequence of float
+        Times of the Maxwell elements [s].
+    seen : Mask, optional
+        Samples that count (n,).
+    """
+    chosen: Mask = np.ones(times.size, bool) if seen is None else seen
+    since = times - times[0]
+    free = [np.ones_like(since), since, *(np.exp(-since / time) for time in relaxation)]
+    axes = np.linalg.qr(np.stack(free, axis=1)[chosen])[0]
+    columns = np.column_stack([_contact(since, depth, knots, relaxation), push])[chosen]
     columns -= axes @ (axes.T @ columns)
     sizes = np.maximum(np.linalg.norm(columns[:, :-1], axis=0), 1e-12)
     small = np.asarray(np.linalg.qr(columns / [*sizes, 1.0], mode="r"))
     weights = nnls(small[:, :-1], small[:, -1], maxiter=100 * sizes.size)[0]
     residual = np.asarray(columns[:, -1] - columns[:, :-1] @ (weights / sizes))
-    count = len(free) + int(np.count_nonzero(weights))
-    return _Fit(residual, float(residual @ residual) + 2.0 * count * course.noise**2)
+    return residual, len(free) + int(np.count_nonzero(weights))
 
 
-def _contact(since: Array, depth: Array, push: Array) -> Array:
+def independent(residual: Array) -> float:
+    """Return how many samples count as independent: neighbours that hang together for less."""
+    size = max(float(residual @ residual), 1e-300)
+    together = float(residual[1:] @ residual[:-1]) / size if residual.size > 1 else 0.0
+    together = min(max(together, 0.0), 0.99)
+    return residual.size * (1.0 - together) / (1.0 + together)
+
+
+def _contact(since: Array, depth: Array, knots: Array, relaxation: Sequence[float]) -> Array:
     """Return the forces of unit springs and Maxwell elements that begin at knots of the depth."""
     step = float(np.median(np.diff(since)))
     columns = []
-    for knot in _knots(depth, push):
+    for knot in knots:
         pressed = np.maximum(depth - knot, 0.0)
         columns.append(pressed)
-        for time in _TIMES:
+        for time in relaxation:
             kept = math.exp(-step / time)
             force = lfilter([1.0], [1.0, -kept], np.diff(pressed, prepend=pressed[0]))
             # The probe leaves: nothing pulls it.

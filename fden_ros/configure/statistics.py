@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,46 +14,6 @@ from fden_ros.core.arrays import Array
 
 #: The median of the magnitude of a normal variable, in standard deviations.
 _MEDIAN_OF_NORMAL = 0.6745
-#: Blocks whose means show how far residuals hang together.
-_BLOCKS = 20
-
-
-class Fit(NamedTuple):
-    """A linear least-squares fit."""
-
-    solution: Array  #: (p,)
-    covariance: Array  #: (p, p), residuals that hang together allowed for
-    residual: Array  #: (n,)
-    sd: float  #: of the residual
-
-
-def fit(design: Array, values: Array) -> Fit:
-    """Fit `values` (n,) by the columns of `design` (n, p), in order of time."""
-    solution, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
-    residual = values - design @ solution
-    freedom = max(values.size - int(rank), 1)
-    variance = float(residual @ residual) / freedom
-    inverse = np.linalg.pinv(design.T @ design)
-    covariance = inverse * variance * inflation(residual)
-    sd = math.sqrt(variance)
-    return Fit(solution.astype(float), np.asarray(covariance, np.float64), residual, sd)
-
-
-def inflation(residual: Array) -> float:
-    """Return by what factor the variance of means exceeds that of white residuals; 1 or more.
-
-    From the means of 20 blocks, in order of time.
-    """
-    size = residual.size // _BLOCKS
-    if size < 4:
-        return 1.0
-    blocks = residual[: size * _BLOCKS].reshape(_BLOCKS, size)
-    variance = float(np.var(residual))
-    if variance <= 0.0:
-        return 1.0
-    # Of white residuals this ratio is 1 with a deviation of 0.32: less than 1.65 is no evidence.
-    ratio = size * float(np.var(blocks.mean(axis=1))) / variance
-    return ratio if ratio > 1.65 else 1.0
 
 
 def pooled(values: ArrayLike, sds: ArrayLike) -> tuple[float, float]:

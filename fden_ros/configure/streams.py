@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -74,10 +74,3 @@ class Streams:
         if turns is None:
             return np.zeros(times.size - 1)
         return np.asarray((turns[1:] * turns[:-1].inv()).magnitude() / np.diff(times))
-
-    def scaled(self, force: float, position: float) -> Streams:
-        """Return the same recording with force (and torque) and position multiplied."""
-        torque = None if self.torque is None else force * self.torque
-        return replace(
-            self, force=force * self.force, torque=torque, position=position * self.position
-        )

@@ -15,15 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, runs
-from fden_ros.configure.statistics import Fit, fit, noise_of
+from fden_ros.configure.statistics import noise_of
 from fden_ros.configure.streams import Streams
 from fden_ros.core.arrays import Array
+from fden_ros.experiments.regression import Solution, linear
 from fden_ros.parameters import Value
 
 GRAVITY = 9.80665
@@ -105,16 +107,6 @@ class Weight:
         if turn is None or not self.holds:
             return None
         return np.asarray(turn.inv().apply(self.down) @ self.matrix.T)
-
-    def scaled(self, newton: float) -> Weight:
-        """Return the weight with its forces multiplied."""
-        return replace(
-            self,
-            matrix=newton * self.matrix,
-            weight=newton * self.weight,
-            weight_sd=newton * self.weight_sd,
-            left=newton * self.left,
-        )
 
 
 @dataclass(frozen=True)
@@ -220,9 +212,9 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
         return None
     aligned, free = _fit(turns, _aligned_columns), _fit(turns, _free_columns)
     # The poses are the sensor's where a rotation of its own explains hardly more.
-    better = (aligned.fit.sd / max(free.fit.sd, 1e-300)) ** 2 - 1.0
-    size = float(np.linalg.norm(aligned.solution))
-    is_aligned = better < 60.0 / len(turns.force()) + 1e-3 or aligned.fit.sd < 0.004 * size
+    better = (aligned.fit.rms / max(free.fit.rms, 1e-300)) ** 2 - 1.0
+    size = float(np.linalg.norm(aligned.values))
+    is_aligned = better < 60.0 / len(turns.force()) + 1e-3 or aligned.fit.rms < 0.004 * size
     found = _as_aligned(turns, aligned) if is_aligned else _as_turned(turns, free)
     # Lines between the poses miss this part of a turn.
     step = max(float(np.median(np.diff(one.motion_times))) for one in turns.streams)
@@ -230,20 +222,6 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
     limit = max(_MOST_NOISE * turns.noise(), _MOST_PART * found.weight)
     found = replace(found, weight_sd=sd, holds=found.left < limit)
     return _with_centre(turns, found) if found.is_clear else found
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """A model fitted to the turns: its solution (p,), and the delay as one more unknown."""
-
-    solution: Array
-    fit: Fit
-    delay: float
-
-    @property
-    def sds(self) -> Array:
-        """Standard deviations of the solution, and of the delay (p + 1,)."""
-        return np.sqrt(np.diag(self.fit.covariance))
 
 
 def _aligned_columns(turns: Rotation) -> Array:
@@ -257,6 +235,18 @@ def _free_columns(turns: Rotation) -> Array:
     return np.einsum("ij,nk->nijk", np.eye(3), down).reshape(-1, 3, 9)
 
 
+class _Solved(NamedTuple):
+    """A model fitted to the turns, with the delay as one more unknown, the last."""
+
+    fit: Solution
+    delay: float
+
+    @property
+    def values(self) -> Array:
+        """What is sought without the delay (p,)."""
+        return self.fit.values[:-1]
+
+
 def _fit(turns: _Turns, columns: Callable[[Rotation], Array]) -> _Solved:
     """Fit a linear model of the force, and the delay of the poses with it."""
     force = turns.without_drift(turns.force())
@@ -264,61 +254,56 @@ def _fit(turns: _Turns, columns: Callable[[Rotation], Array]) -> _Solved:
     for _ in range(_STEPS):
         design = columns(turns.rotations(delay))
         ahead = columns(turns.rotations(delay + step))
-        solution = _solved(turns, design, force).solution
-        slope = (ahead - design) @ solution / step
+        slope = (ahead - design) @ _solved(turns, design, force).values / step
         found = _solved(turns, np.concatenate([design, slope[:, :, None]], axis=2), force)
-        delay += float(found.solution[-1])
-    return _Solved(found.solution[:-1], found, delay)
+        delay += float(found.values[-1])
+    return _Solved(found, delay)
 
 
-def _solved(turns: _Turns, design: Array, values: Array) -> Fit:
+def _solved(turns: _Turns, design: Array, values: Array) -> Solution:
     """Fit values (n, 3) by columns (n, 3, p), component after component."""
     flat = turns.without_drift(design).swapaxes(0, 1).reshape(-1, design.shape[2])
-    return fit(flat, values.T.reshape(-1))
+    return linear(flat, values.T.reshape(-1))
 
 
 def _as_aligned(turns: _Turns, found: _Solved) -> Weight:
     """Return the weight of a sensor whose orientation the poses are."""
-    size = float(np.linalg.norm(found.solution))
-    down = found.solution / max(size, 1e-300)
+    size = float(np.linalg.norm(found.values))
+    down = found.values / max(size, 1e-300)
     along = math.sqrt(float(down @ found.fit.covariance[:3, :3] @ down))
-    across = float(np.mean(found.sds[:3]))
+    across = float(np.mean(found.fit.sds[:3]))
     upright = np.array([0.0, 0.0, math.copysign(1.0, down[2])])
     angle = math.acos(min(abs(float(down[2])), 1.0))
     if angle < max(_UPRIGHT, 3.0 * across / max(size, 1e-300)):
         down = upright
     # What lies across adds to the length, by half its square.
     sd = math.hypot(along, across**2 / max(size, 1e-300))
-    return _weight(turns, found, np.eye(3) * size, down, size, sd, 0.0)
+    return _weight(turns, found, np.eye(3) * size, down, size, sd)
 
 
 def _as_turned(turns: _Turns, found: _Solved) -> Weight:
     """Return the weight of a sensor that is turned against the poses."""
-    matrix = found.solution.reshape(3, 3)
+    matrix = found.values.reshape(3, 3)
     left, sizes, right = np.linalg.svd(matrix)
-    size, sd = float(np.mean(sizes)), float(np.sqrt(np.mean(found.sds[:9] ** 2)))
+    size, sd = float(np.mean(sizes)), float(np.sqrt(np.mean(found.fit.sds[:9] ** 2)))
     turn = left @ right * (float(np.sign(np.linalg.det(left @ right))) or 1.0)
-    turned_by = float(Rotation.from_matrix(turn).magnitude())
-    down = np.array([0.0, 0.0, -1.0])
-    weight = _weight(turns, found, matrix, down, size, sd, turned_by)
+    weight = _weight(turns, found, matrix, np.array([0.0, 0.0, -1.0]), size, sd)
     # A weight turns as a whole: other stretches in different directions are something else.
     is_whole = float(np.ptp(sizes)) < max(8.0 * sd, 0.05 * size)
-    return weight if is_whole else replace(weight, left=math.inf)
+    return replace(
+        weight,
+        turned_by=float(Rotation.from_matrix(turn).magnitude()),
+        left=weight.left if is_whole else math.inf,
+    )
 
 
 def _weight(
-    turns: _Turns,
-    found: _Solved,
-    matrix: Array,
-    down: Array,
-    size: float,
-    sd: float,
-    turned_by: float,
+    turns: _Turns, found: _Solved, matrix: Array, down: Array, size: float, sd: float
 ) -> Weight:
-    delay_sd, left = float(found.sds[-1]), found.fit.sd
-    seconds, nowhere = turns.seconds(), np.full(3, np.nan)
+    delay_sd, left = float(found.fit.sds[-1]), found.fit.rms
+    nowhere = np.full(3, np.nan)
     return Weight(
-        matrix, down, size, sd, turned_by, found.delay, delay_sd, left, seconds, True, nowhere
+        matrix, down, size, sd, 0.0, found.delay, delay_sd, left, turns.seconds(), True, nowhere
     )
 
 
@@ -330,7 +315,7 @@ def _with_centre(turns: _Turns, weight: Weight) -> Weight:
     # c x F is the sum of c_j (e_j x F).
     columns = np.stack([np.cross(axis, force) for axis in np.eye(3)], axis=2)
     found = _solved(turns, columns, turns.without_drift(torque))
-    centre = found.solution
+    centre = found.values
     # A weight that is off moves the centre along its own direction by the same part.
     moved = float(np.linalg.norm(centre)) * weight.weight_sd / weight.weight
     sd = math.hypot(math.sqrt(float(np.mean(np.diag(found.covariance)))), moved)

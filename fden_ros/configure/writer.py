@@ -52,8 +52,6 @@ def replay_problems(survey: Survey) -> list[str]:
         unit, axis = survey.finding(f"{stream} unit"), survey.finding(f"{stream} axis")
         if not unit.claim:
             problems.append(f"{unit.subject}: {unit.evidence}; {unit.motion}")
-        elif unit.value in ("mm", "g"):
-            problems.append(f"{stream}: {unit.evidence.partition(': ')[2]}")
         if not axis.claim:
             unknown.setdefault(f"{axis.evidence}. To find out: {axis.motion}", []).append(stream)
     for why, names in unknown.items():
@@ -87,22 +85,7 @@ def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[
         lines += [f"    {group}:"] if inside else []
         for name, value in inside.items():
             lines.append(f"      {name.partition('.')[2]}: {_yaml(value)}")
-        lines += _proposed(survey, group, has_header=bool(inside))
     return "\n".join(lines) + "\n"
-
-
-def _proposed(survey: Survey, group: str, *, has_header: bool) -> list[str]:
-    """Return what is proposed of a group as comments."""
-    values = {
-        name.partition(".")[2]: value
-        for finding in survey.findings
-        for name, value in finding.proposed.items()
-        if name.startswith(f"{group}.")
-    }
-    if not values:
-        return []
-    header = [] if has_header else [f"    # {group}:"]
-    return header + [f"      # {name}: {_yaml(value)}" for name, value in values.items()]
 
 
 def value_text(finding: Finding) -> str:

@@ -9,7 +9,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
-from fden_ros.core.account import Common
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact import ContactDetector, Onset, Release
@@ -23,6 +22,7 @@ from fden_ros.core.outputs import (
     order_source,
 )
 from fden_ros.core.plausibility import Plausibility, Tilt
+from fden_ros.core.report import Common
 from fden_ros.core.site import prepare
 from fden_ros.core.site_contact import Contact
 from fden_ros.core.sites import Sites

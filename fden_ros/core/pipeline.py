@@ -11,7 +11,8 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
 
@@ -19,8 +20,14 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
 from fden_ros.core.input_warnings import Direction, input_warnings, unusual
-from fden_ros.core.outlet import Outlet
-from fden_ros.core.outputs import Failure, Flag, Output, failure_of
+from fden_ros.core.outputs import (
+    ContactSummary,
+    Failure,
+    Flag,
+    Output,
+    TissueState,
+    failure_of,
+)
 from fden_ros.core.plausibility import stands_against
 from fden_ros.core.stiffness import MeasuredSlopes, Slopes
 from fden_ros.core.streams import (
@@ -64,7 +71,8 @@ class Pipeline:
         self._max_gap_ns = round(config.synchronize.max_gap * NANOSECONDS)
         self._direction = Direction()
         self._measured = MeasuredSlopes(config)
-        self._outlet = Outlet(emit, self.rejected, self._measured)
+        self._emit = emit
+        self._raised: Exception | None = None  # by the listener
         self._restart_streams()
         self._session: ContactSession | ContinuousSession
         if config.is_continuous:
@@ -78,7 +86,7 @@ class Pipeline:
     def _begin_epoch(self, epoch: int) -> None:
         self._epoch = epoch
         self._gaps = GapGuard()
-        self._outlet.restart()
+        self._rejected_before = self.rejected.total()
 
     def _restart_streams(self) -> None:
         self._synchronizer = Synchronizer(
@@ -189,7 +197,7 @@ class Pipeline:
         """Forget what was learned; return None, or why that cannot be done now."""
         if self._session.in_contact:
             return "the probe is in contact: lift it, then reset"
-        self._outlet.put(self._session.break_off(self.newest_ns))
+        self._put(self._session.break_off(self.newest_ns))
         self._session.forget()
         self._measured.forget()
         self._restart_streams()
@@ -199,7 +207,7 @@ class Pipeline:
     def finish(self) -> None:
         """No more samples come: report the contact that is still open."""
         try:
-            self._outlet.put(self._session.finish(self.newest_ns))
+            self._put(self._session.finish(self.newest_ns))
         except Exception as error:
             self._fail(self.newest_ns, error)
 
@@ -243,19 +251,19 @@ class Pipeline:
         try:
             if pair.epoch != self._epoch:
                 self._clock_jumps += 1
-                self._outlet.put(self._session.break_off(self.newest_ns))
+                self._put(self._session.break_off(self.newest_ns))
                 self._session.forget(keeps_contact=True)
                 self._measured.forget()
                 self._begin_epoch(pair.epoch)
             gap_ns = self._gaps.step(pair.stamp_ns)
             if gap_ns:
                 is_long = gap_ns > self._max_gap_ns
-                self._outlet.put(self._session.see_gap(self.newest_ns, is_long=is_long))
+                self._put(self._session.see_gap(self.newest_ns, is_long=is_long))
                 self._measured.skip()
             self.pair_count += 1
             self.newest_ns = pair.stamp_ns
             self._measured.add(pair)
-            self._outlet.put(self._session.take(pair))
+            self._put(self._session.take(pair))
             session = self._session
             surface, bias = session.surface
             self._measured.assign(
@@ -264,16 +272,35 @@ class Pipeline:
         except Exception as error:
             self._fail(pair.stamp_ns, error)
 
+    def _put(self, outputs: Iterable[Output]) -> None:
+        """Give outputs to the listener, with what was rejected and measured by then."""
+        for output in map(self._completed, outputs):
+            try:
+                self._emit(output)
+            except Exception as error:
+                self._raised = error
+                raise
+
+    def _completed(self, output: Output) -> Output:
+        if isinstance(output, ContactSummary):
+            return replace(output, measured=self._measured.of(output.contact_id))
+        if not isinstance(output, TissueState):
+            return output
+        if self.rejected.total() != self._rejected_before:
+            self._rejected_before = self.rejected.total()
+            output = replace(output, flags=output.flags | Flag.INPUT_REJECTED)
+        return replace(output, measured=self._measured.newest)
+
     def _fail(self, stamp_ns: int, error: Exception) -> None:
         """Take note of an exception, and end the contact and the site it came from.
 
         What the listener to the outputs raised is raised again.
         """
-        if self._outlet.has_raised(error):
+        if error is self._raised:
             raise error
         self.failure_count += 1
         self.failures.append(failure_of(error, stamp_ns, *self._session.place))
-        self._outlet.put(self._session.fail(stamp_ns))
+        self._put(self._session.fail(stamp_ns))
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:

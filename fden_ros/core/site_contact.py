@@ -11,10 +11,10 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 
-from fden_ros.core.account import Account, Common
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.contact import Onset
 from fden_ros.core.outputs import ContactSummary, Flag, Output
+from fden_ros.core.report import Account, Common
 from fden_ros.core.site import Site
 from fden_ros.core.standing import SiteState
 from fden_ros.core.streams import NANOSECONDS, Pair

@@ -311,8 +311,8 @@ class MeasuredSlopes:
             return 0.0
         change = abs(float(columns[6, :3].mean() - columns[6, -3:].mean()))
         # What a creeping probe has left in one direction is no loading of its own.
-        part = _LEAST_OF_LAST if run.sign == self._sign else _LEAST_PART * (run.sign < 0.0)
-        least = max(_LEAST_PART * change, part * self._change)
+        left = _LEAST_OF_LAST * self._change if run.sign == self._sign else 0.0
+        least = max(_LEAST_PART * change, left)
         found = _best(columns, run.sign, least, self._noise) if change >= least else None
         if found is None:
             return change
@@ -326,6 +326,13 @@ class MeasuredSlopes:
         before = self._newest.unloading
         if run.sign > 0.0:
             self._newest = self._newest._replace(loading=slope)
-        elif before is None or before.stamp_ns < run.start_ns or slope.sd < before.sd:
+        elif (
+            before is None
+            or before.stamp_ns < run.start_ns
+            or (
+                # A wider window counts while it agrees with the narrower ones before.
+                slope.sd < before.sd and abs(slope.value - before.value) < before.sd
+            )
+        ):
             self._newest = self._newest._replace(unloading=slope)
         return change

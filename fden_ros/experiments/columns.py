@@ -1,13 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""CSV files of experiments: named columns in, or one line that says what is wrong."""
+"""Tables of experiments: named columns in, or one line that says what is wrong."""
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,7 +28,6 @@ UNITS = {
     "storage_modulus_pa": "Pa",
     "loss_modulus_pa": "Pa",
 }
-
 #: What each is in the words of an instrument's headings.
 _QUANTITIES = {
     "time_s": "time",
@@ -38,69 +35,43 @@ _QUANTITIES = {
     "stress_pa": "stress",
     "relaxation_modulus_pa": "modulus",
 }
-
 #: A held quantity may vary by this part of its mean.
 CONSTANT = 0.02
+#: A strain above this can only be percent.
+_MOST_STRAIN = 3.0
 
 
 @dataclass(frozen=True)
 class Table:
-    """A file of named columns, its cells still text.
+    """A file of named columns.
 
     Parameters
     ----------
     path : Path
-    names : tuple of str
-    rows : tuple of tuple of str
+    headings : tuple of Heading
+    columns : mapping
+        Numbers of the columns that experiments read, by their index (n,).
     lines : tuple of int
         Line of each row in the file, counted from 1.
-    layout : Layout
-        How it is written.
     """
 
     path: Path
-    names: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    headings: tuple[Heading, ...]
+    columns: Mapping[int, Array]
     lines: tuple[int, ...]
-    layout: Layout
 
     def __contains__(self, name: str) -> bool:
-        return bool(self._places(name))
-
-    def _places(self, name: str) -> list[tuple[int, float]]:
-        """Return the columns that can be `name`, with their factors to its unit.
-
-        It is the column of this name, or one whose heading has the quantity and its unit. A table
-        that states no unit at all is in SI units, see :meth:`notes`.
-        """
-        if name in self.names:
-            return [(self.names.index(name), 1.0)]
-        quantity = _QUANTITIES.get(name)
-        if quantity is None:
-            return []
-        units = (*self.layout.units, *[""] * len(self.names))
-        headings = [Heading(*one) for one in zip(self.names, units, strict=False)]
-        if not any(heading.has_unit for heading in headings):
-            named = (i for i, heading in enumerate(headings) if heading.names(quantity))
-            return [(index, 1.0) for index in named]
-        of_unit = "stress" if quantity == "modulus" else quantity
-        every = candidates(headings, quantity, unit=of_unit)
-        found = [(index, factor) for index, factor in every if factor is not None]
-        if found or quantity != "strain":
-            return found
-        bare = (i for i, one in enumerate(headings) if one.names(quantity) and not one.has_unit)
-        return [(index, 1.0) for index in bare]
+        return bool(_places(self.headings, name))
 
     def notes(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return a line on each of the columns `names` whose unit was not stated."""
         lines = []
         for name in names:
-            if name == "strain" or name in self.names or name not in self:
-                continue
-            index, factor = self._places(name)[0]
-            heading = Heading(self.names[index], *self.layout.units[index : index + 1])
-            if factor == 1.0 and not heading.has_unit:
-                lines.append(f"{heading.text} states no unit: it is taken to be in {UNITS[name]}")
+            for index, _ in _places(self.headings, name)[:1]:
+                heading = self.headings[index]
+                if name not in ("strain", heading.text) and not heading.has_unit:
+                    taken = f"it is taken to be in {UNITS[name]}"
+                    lines.append(f"{heading.text} states no unit: {taken}")
         return tuple(lines)
 
     def column(self, name: str) -> Array:
@@ -109,55 +80,47 @@ class Table:
         Raises
         ------
         InputError
-            If it is missing, or holds text, nothing, or a number that is not finite.
+            If it is missing, or holds nothing in a row.
         """
-        places = self._places(name)
+        places = _places(self.headings, name)
         if not places:
             raise InputError(self._missing(name))
         if len(places) > 1:
-            several = ", ".join(repr(self.names[index]) for index, _ in places)
+            several = ", ".join(repr(self.headings[index].text) for index, _ in places)
             raise InputError(
                 f"{self.path}: several columns could be {name}: {several}; convert one to "
                 f"{UNITS[name]} and name it {name}"
             )
         ((index, factor),) = places
-        values = []
-        for line, row in zip(self.lines, self.rows, strict=True):
-            cell = row[index] if index < len(row) else ""
-            try:
-                value = factor * self.layout.number(cell)
-            except ValueError:
-                value = math.nan
-            if math.isnan(value):
-                problem = f"{cell!r} is not a number" if cell else "is empty"
-                raise InputError(f"{self.path}, line {line}: {name} {problem}") from None
-            values.append(value)
-        return np.array(values)
+        values = factor * self.columns[index]
+        for line, value in zip(self.lines, values, strict=True):
+            if not np.isfinite(value):
+                raise InputError(
+                    f"{self.path}, line {line}: {name} is no finite number; leave the row out or "
+                    "correct it"
+                )
+        return np.asarray(values)
 
     def positive(self, name: str) -> Array:
         """Return a column whose values must all be positive."""
         return self.require_positive(name, self.column(name))
 
-    def require_positive(
-        self, name: str, values: Array, why: str = "its logarithm is taken"
-    ) -> Array:
+    def require_positive(self, name: str, values: Array) -> Array:
         """Return `values`, a row each, or say which row is not positive."""
         for line, value in zip(self.lines, values, strict=True):
             if not value > 0.0:
                 raise InputError(
                     f"{self.path}, line {line}: {name} is {value:g}; it must be positive, "
-                    f"because {why}"
+                    "because its logarithm is taken"
                 )
         return values
 
     def require_rows(self, count: int, user: str) -> None:
         """Raise unless there are `count` rows."""
-        if len(self.rows) < count:
-            have = len(self.rows)
-            raise InputError(
-                f"{self.path} has {have} row{'s' if have != 1 else ''}; {user} needs at least "
-                f"{count}"
-            )
+        have = len(self.lines)
+        if have < count:
+            rows = f"{have} row{'s' if have != 1 else ''}"
+            raise InputError(f"{self.path} has {rows}; {user} needs at least {count}")
 
     def times(self) -> Array:
         """Return time_s, strictly increasing."""
@@ -173,7 +136,7 @@ class Table:
     def checked_strain(self, values: Array) -> Array:
         """Return `values`, or raise if they can only be percent."""
         largest = float(np.max(np.abs(values), initial=0.0))
-        if largest > 3.0:
+        if largest > _MOST_STRAIN:
             raise InputError(
                 f"{self.path}: strain goes up to {largest:g}; it must be a ratio, not percent "
                 "(0.1 for 10 %)"
@@ -198,20 +161,41 @@ class Table:
                 f"{self.path} ends at {time.max():g} s, before the first row to use at "
                 f"{start:g} s; give --from S"
             )
-        rows = tuple(itertools.compress(self.rows, kept))
-        lines = tuple(itertools.compress(self.lines, kept))
-        return kept, replace(self, rows=rows, lines=lines)
+        lines = tuple(np.array(self.lines)[kept].tolist())
+        return kept, replace(self, lines=lines, columns={})
 
     def _missing(self, name: str) -> str:
         words = ("omega", "freq", "f") if name == "omega_rad_s" else (name.split("_")[0],)
-        others = [n for n in self.names if n not in UNITS]
+        texts = [heading.text for heading in self.headings]
+        others = [text for text in texts if text not in UNITS]
         alike = [n for n in others if n.lower().split("_")[0].split(" ")[0].startswith(words)]
+        found = f"found: {', '.join(texts)}"
         if alike:
-            return (
-                f"{self.path}: column {name} is missing; convert {alike[0]!r} to {UNITS[name]} "
-                f"and name it {name}"
-            )
-        return f"{self.path}: column {name} is missing; found: {', '.join(self.names)}"
+            found = f"convert {alike[0]!r} to {UNITS[name]} and name it {name}"
+        return f"{self.path}: column {name} is missing; {found}"
+
+
+def _places(headings: Sequence[Heading], name: str) -> list[tuple[int, float]]:
+    """Return the columns that can be `name`, with their factors to its unit.
+
+    It is the column of this name, or one whose heading has the quantity. A table that states no
+    unit at all is in SI units, see :meth:`Table.notes`; a strain may have none.
+    """
+    texts = [heading.text for heading in headings]
+    if name in texts:
+        return [(texts.index(name), 1.0)]
+    quantity = _QUANTITIES.get(name)
+    if quantity is None:
+        return []
+    found = candidates(headings, quantity, unit="stress" if quantity == "modulus" else quantity)
+    are_bare = not any(heading.has_unit for heading in headings)
+    return [
+        (index, factor or 1.0)
+        for index, factor in found
+        if factor is not None
+        or are_bare
+        or (quantity == "strain" and not headings[index].has_unit)
+    ]
 
 
 def read_table(path: str | Path) -> Table:
@@ -223,19 +207,21 @@ def read_table(path: str | Path) -> Table:
         If the file cannot be read, is empty, or has names only.
     """
     path = Path(path)
-    layout = layout_of(path)
+    layout: Layout = layout_of(path)
     names = layout.headings
     if not names or all(map(is_number, names)):
-        line = layout.lines[0][0]
-        raise InputError(f"{path}: line {line} holds numbers; it must hold the column names")
+        raise InputError(f"{path} has a line of numbers where it must have the column names")
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
         raise InputError(f"{path}: there are two columns {doubled}; keep one")
-    rows = [(number, tuple(cell.strip() for cell in cells)) for number, cells in layout.rows()]
-    if not rows:
+    if not layout.lines:
         raise InputError(f"{path} has names but no rows of numbers")
-    lines, cells = zip(*rows, strict=True)
-    return Table(path, names, cells, lines, layout)
+    units = (*layout.units, *[""] * len(names))
+    headings = tuple(Heading(*one) for one in zip(names, units, strict=False))
+    wanted = sorted({index for name in UNITS for index, _ in _places(headings, name)})
+    values, lines, _ = layout.numbers(wanted)
+    columns = {index: values[:, place] for place, index in enumerate(wanted)}
+    return Table(path, headings, columns, tuple(number for number, _ in lines))
 
 
 def csv_files(folder: str | Path) -> list[Path]:

@@ -34,24 +34,19 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("force_limit", 0.32, "the force shall stay below it [N]"),
     ("bandwidth", 12.0, "of the force [rad/s]"),
     ("reaction_time", 0.06, "from a change of the force to the axis answering [s]"),
-    ("touch_force", 0.01, "below it the probe is in the air [N]"),
-    ("approach_speed", 0.005, "in the air [m/s]"),
-    ("force_noise", 1e-3, "standard deviation of the force per control step [N]"),
-    ("lift", 0.004, "how far the probe leaves the surface between two sites [m]"),
     ("surface", 0.0, "displacement at the surface [m]"),
-    ("deadline", 0.1, "older estimates are refused [s]"),
-    ("rate", 200.0, "of the control loop [Hz]"),
     ("tare_time", 2.0, "the force is measured in the air for this time first [s]"),
-    (
-        "patience",
-        20.0,
-        "the first touch waits for the identifier, which must see it, for at most this time [s]",
-    ),
     ("program.forces", [0.0], "forces of a program, one after the other [N]; all 0: none"),
     ("program.duration", 3.0, "of each force [s]"),
     ("program.x", [0.0], "places to press, one after the other [m]"),
     ("program.y", [0.0], "second coordinate of the places [m]"),
 )
+#: Of the control loop [Hz].
+_RATE = 200.0
+#: How far the probe leaves the surface between two sites [m].
+_LIFT = 0.004
+#: The first touch waits for the identifier, which must see it, for at most this time [s].
+_PATIENCE = 20.0
 _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 #: After 0.1 s without a force the probe is stopped [s].
 _INPUT_TIMEOUT = 0.1
@@ -64,22 +59,13 @@ class ForceControllerNode(Node):
         super().__init__("force_controller", **options)
         values = declared(self, PARAMETERS)
         self._values = values
-        self._controller = ForceController(
-            ForceControlConfig(
-                **{
-                    name: values[name]
-                    for name in (
-                        *("safe_stiffness", "force_limit", "scheduled", "bandwidth"),
-                        *("reaction_time", "touch_force", "approach_speed", "force_noise"),
-                    )
-                }
-            )
-        )
+        names = "safe_stiffness", "force_limit", "scheduled", "bandwidth", "reaction_time"
+        config = ForceControlConfig(**{name: values[name] for name in names})
+        self._controller = ForceController(config)
         self._places = _places(values["program.x"], values["program.y"])
         self._feed = TissueFeed(
             self,
             self.resolve_topic_name(str(values["identifier"])),
-            deadline=values["deadline"],
             on_loss=lambda why: self.get_logger().info(f"safe gains: {why}"),
         )
         self._forces: list[float] = []
@@ -99,7 +85,7 @@ class ForceControllerNode(Node):
         self.create_subscription(PoseStamped, "displacement", self._on_displacement, _QOS)
         self.create_subscription(Float64, "target_force", self._on_target, _QOS)
         self._timer = self.create_timer(
-            1.0 / values["rate"], self._control, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            1.0 / _RATE, self._control, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def _on_force(self, message: WrenchStamped) -> None:
@@ -129,7 +115,7 @@ class ForceControllerNode(Node):
         found = self._feed.stiffness(1.0 / self._values["bandwidth"])
         known = found[:2] if found is not None else None
         velocity = self._controller.step(now, force, self._depth, self._target, known)
-        if self._target <= 0.0 and self._depth < -self._values["lift"]:
+        if self._target <= 0.0 and self._depth < -_LIFT:
             velocity = 0.0
         self._send(velocity=velocity)
         self._stiffness_topic.publish(Float64(data=float(self._controller.stiffness)))
@@ -143,11 +129,7 @@ class ForceControllerNode(Node):
         self._started = self._started or now
         refusal = self._feed.refusal()
         unheard = refusal is not None and refusal.cause in (Cause.NEVER_HEARD, Cause.STALE)
-        if (
-            self._values["scheduled"]
-            and unheard
-            and now - self._started < self._values["patience"]
-        ):
+        if self._values["scheduled"] and unheard and now - self._started < _PATIENCE:
             return
         self._air.append(force)
         self._began = self._began or now

@@ -42,7 +42,7 @@ from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
 from fden_ros.tissues.library import load_library
 
 #: Of the bag: what it was identified with, what was chosen in it, what is wrong with it, its
-#: length, and how many contacts it has, which tells whether all of its rows are there.
+#: length, and how many contacts it has, which shows whether all of its rows are there.
 _BAG_COLUMNS = (
     "bag", "configuration", "inputs", "error", "warnings", "seconds", "pairs", "contacts",
 )  # fmt: skip
@@ -70,7 +70,7 @@ class Work:
     selection: Selection
 
     def digest(self) -> str:
-        """Return what tells this configuration from others, the tissue library included."""
+        """Return what distinguishes this configuration, the tissue library included."""
         library = load_library(self.parameters.library or None)
         parts = [__version__, self.parameters.as_dict(), asdict(self.selection), repr(library)]
         text = json.dumps(parts, sort_keys=True, default=str)
@@ -206,14 +206,14 @@ def _identify(row: Row, work: Work) -> list[Row]:
 
 
 class Results:
-    """The table: CSV, and beside it Parquet where the path says so.
+    """The table: CSV, and next to it Parquet where the path says so.
 
     Rows go to the CSV as they come. The Parquet file is made of it at the end.
 
     Parameters
     ----------
     path : path
-        Ends with ``.parquet`` for both; the CSV stands beside it.
+        Ends with ``.parquet`` for both; the CSV stands next to it.
     configuration : str
         That of the run: rows of another one are left out when their bag is done again.
 

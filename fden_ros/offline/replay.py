@@ -21,7 +21,7 @@ from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.progress import progress as bar
 from fden_ros.recording.bag_files import RawMessage
-from fden_ros.recording.source import Selection, open_source
+from fden_ros.recording.source import Selection, Source, open_source
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -112,6 +112,17 @@ def replay(
         If the recording or its topics cannot be used.
     """
     source = open_source(bag, parameters, selection)
+    return replay_source(source, progress=progress, on_output=on_output, on_input=on_input)
+
+
+def replay_source(
+    source: Source,
+    *,
+    progress: bool = False,
+    on_output: Callable[[Output, str], None] | None = None,
+    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
+) -> Replay:
+    """Run what is read through the pipeline, as :func:`replay` does."""
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:

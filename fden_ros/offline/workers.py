@@ -47,7 +47,7 @@ def _ignore_interrupts() -> None:
 
 
 @contextmanager
-def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Iterator[Executor]:
+def cluster(scheduler: str, sample: str, say: Callable[[str], object]) -> Iterator[Executor]:
     """Give the workers of a scheduler of Dask.
 
     Parameters
@@ -56,7 +56,7 @@ def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Itera
         Its address, such as ``tcp://host:8786``, or the file that it has written.
     sample : str
         A recording; where it is a file, every worker must see it.
-    tell : callable
+    say : callable
         Called with a line where there is no worker yet.
 
     Raises
@@ -80,7 +80,7 @@ def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Itera
         for name, found in answers.items():
             _check(name, found, sample)
         if not answers:
-            tell(f"{scheduler} has no worker yet: waiting for one")
+            say(f"{scheduler} has no worker yet: waiting for one")
         pool = client.get_executor()
         try:
             yield pool
@@ -89,7 +89,7 @@ def cluster(scheduler: str, sample: str, tell: Callable[[str], object]) -> Itera
 
 
 def _probe(sample: str) -> Callable[[], tuple[str, bool]]:
-    """Return what a worker tells its version by, and whether it sees a file.
+    """Return by what a worker states its version, and whether it sees a file.
 
     A function of a function is sent as it is: another version need not have it.
     """

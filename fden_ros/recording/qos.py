@@ -79,5 +79,4 @@ class Qos:
 
 
 RELIABLE = Qos()
-SENSOR_DATA = Qos("best_effort", depth=5)
 LATCHED = Qos(durability="transient_local", depth=1)

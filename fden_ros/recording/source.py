@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.streams import Sink
 from fden_ros.errors import Hint, InputError
 from fden_ros.parameters import Parameters, frames_config, moves_probe
@@ -184,11 +185,6 @@ class BagSource:
     def force(self) -> Topic:
         """Topic of the force."""
         return self.topics["force"]
-
-    @property
-    def displacement(self) -> Topic:
-        """Topic of the displacement."""
-        return self.topics["displacement"]
 
     @property
     def total(self) -> int:
@@ -390,4 +386,33 @@ class TableSource:
             yield done
 
 
-Source: TypeAlias = BagSource | TableSource
+class ArraySource:
+    """Arrays of stamps [ns], force [N] and displacement [m], shape (n,), fed as rows are."""
+
+    frame = displacement_frame = ""
+    warnings = set_by_recording = ()
+
+    def __init__(
+        self, stamps: Any, forces: Array, displacements: Array, parameters: Parameters
+    ) -> None:
+        self.parameters = parameters
+        self.inputs = {name: f"array {name}" for name in _ALWAYS}
+        self._rows = stamps.tolist(), forces.tolist(), displacements.tolist()
+
+    @property
+    def total(self) -> int:
+        """Samples."""
+        return len(self._rows[0])
+
+    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+        """Feed the samples in their order."""
+        inputs = Inputs(self.parameters, sink)
+        rows = zip(*self._rows, strict=True)
+        for done, (stamp, force, displacement) in enumerate(rows, start=1):
+            before(stamp, None)
+            inputs.add_displacement("", stamp, displacement)
+            inputs.add_force("", stamp, force)
+            yield done
+
+
+Source: TypeAlias = BagSource | TableSource | ArraySource

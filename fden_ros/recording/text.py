@@ -16,7 +16,7 @@ import itertools
 import math
 import re
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,11 +109,6 @@ class Layout:
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
         return _split(line, self.delimiter)
-
-    def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the number of the line and the cells of each row."""
-        for number, line in self.lines:
-            yield number, self.split(line)
 
     def number(self, cell: str) -> float:
         """Return the number in a cell, NaN where it says that it has none.
@@ -294,7 +289,6 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
         _check_above(path, lines[heading], table[:heading], width, _RESULTS)
     elif first < len(table):
         _check_above(path, lines[first], table[:first], width, 0)
-        headings = _commented(every, lines[first][0], table[first], delimiter)
     sample = tuple(map(tuple, table[begin:]))
     top = lines[begin - 1][0] if begin else 0
     comments = [line.lstrip("# \t") for number, line in every if is_comment(line)]
@@ -462,21 +456,6 @@ def _headings_of(line: str, delimiter: str, width: int) -> list[str]:
     text = line.strip()
     splits = [re.split(r"\s{2,}|\t", text), re.split(r"\s+(?![(\[{<])", text), text.split(",")]
     return next((made for made in splits if len(made) == width), cells)
-
-
-def _commented(
-    lines: Iterable[Line], end: int, row: Sequence[str], delimiter: str
-) -> tuple[str, ...]:
-    """Return the last comment before the line `end` that has a heading for each cell of `row`."""
-    found: tuple[str, ...] = ()
-    for number, line in lines:
-        if number < end and is_comment(line):
-            cells = [
-                cell.strip() for cell in _headings_of(line.lstrip("# \t"), delimiter, len(row))
-            ]
-            if len(cells) == len(row) and not _values(cells):
-                found = tuple(cells)
-    return found
 
 
 def _check_above(

@@ -48,7 +48,7 @@ class MonitorView:
     probabilities: Mapping[str, float] = field(default_factory=dict)
     summaries: tuple[ContactSummary, ...] = ()
     diagnostics: Mapping[str, str] = field(default_factory=dict)  #: words under ``message``
-    gains: str = ""  #: of a force controller beside it
+    gains: str = ""  #: of a force controller in the same namespace
 
 
 def monitor_view(view: MonitorView) -> Group:

@@ -181,7 +181,7 @@ def shade(axes: Axes, spans: Sequence[tuple[float, float]]) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """Put the legend beside the title: what is drawn may fill the whole panel."""
+    """Put the legend next to the title: what is drawn may fill the whole panel."""
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),

@@ -38,7 +38,7 @@ def table_of(
         Cells, in rich's markup.
     title : str, optional
     between : int
-        Blanks between two columns, beside that of the box; 0: none at the edges either.
+        Blanks between two columns, besides that of the box; 0: none at the edges either.
     """
     table = Table(
         title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0), show_edge=between > 0

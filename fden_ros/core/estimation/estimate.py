@@ -140,9 +140,6 @@ class Estimate(NamedTuple):
     #: Components of (ln G, ln Gn, alpha), whose moments the mean and `covariance` are; one: the
     #: posterior is a Gaussian. Empty: not known.
     components: tuple[Component, ...] = ()
-    #: Delay of the displacement [s] and its standard deviation [s]; None: it is not learned, or
-    #: stated within 10 ms.
-    delay: tuple[float, float] | None = None
     #: For the stiffness of a small motion: of each place that it may be; empty: not known.
     small_motions: tuple[SmallMotion, ...] = ()
 

@@ -132,11 +132,10 @@ class Uncertainty:
     delay_sd: float = parameter(
         "displacement.delay_sd",
         0.0025,
-        "Standard deviation of the delay that displacement.delay leaves; 0: none. Above 0.01 each "
-        "press learns it, and nothing is claimed before it is known.",
+        "Standard deviation of the delay that displacement.delay leaves; 0: none.",
         "s",
         0.0,
-        0.1,
+        0.01,
     )
     thickness_sd: float = parameter(
         "geometry.thickness_sd",
@@ -209,6 +208,5 @@ class EstimatorConfig:
     def is_order_given(self) -> bool:
         """Whether alpha is a setting and not learned."""
         return (
-            (not self.learns_fractional_order and self.kind is EstimatorKind.GRID)
-            or self.prior.fractional_order_sd == 0.0
-        )
+            not self.learns_fractional_order and self.kind is EstimatorKind.GRID
+        ) or self.prior.fractional_order_sd == 0.0

@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Arrays through fden_ros.fit."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fden_ros
+from fden_ros.errors import InputError
+from fden_ros.offline.replay import replay
+from fden_ros.parameters import read_parameter_file
+from fden_ros.simulation import FdenModel
+from simulation.closed_form import moves_of_knots, stress_of_moves
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PROBE = {"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}
+
+
+@functools.cache
+def example():
+    time, force, depth = np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1).T
+    return time, force, 1e-3 * depth
+
+
+@functools.cache
+def fitted():
+    return fden_ros.fit(*example(), geometry=PROBE)
+
+
+def test_arrays_give_what_a_replay_gives_to_the_last_bit():
+    replayed = replay(EXAMPLES / "press.csv", read_parameter_file(EXAMPLES / "probe.yaml"))
+    assert len(replayed.summaries) == 2
+    for contact, summary in zip(fitted().contacts, replayed.summaries, strict=True):
+        estimate, stiffness = summary.estimate, summary.apparent_stiffness
+        assert estimate is not None and stiffness is not None
+        assert (estimate.linear_stiffness, estimate.linear_stiffness_sd) == contact.G
+        assert contact.Gn == (estimate.nonlinear_stiffness, estimate.nonlinear_stiffness_sd)
+        assert contact.alpha == (estimate.fractional_order, estimate.fractional_order_sd)
+        assert contact.stiffness == (stiffness.value, stiffness.sd)
+        assert np.array_equal(contact.covariance, estimate.covariance)
+
+
+def test_a_prediction_is_the_law_of_the_contact():
+    contact = fitted().contacts[0]
+    time = np.linspace(0.0, 3.0, 1501)
+    strains = 0.2 * np.minimum(time, 1.0)
+    model = FdenModel(contact.G.value, contact.Gn.value, contact.alpha.value)
+    moves = moves_of_knots(np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.2, 0.2]))
+    expected = 3.14e-4 * stress_of_moves(moves, time, model)
+    found = contact.predict((5.0 + time).tolist(), 0.02 * strains)
+    assert found == pytest.approx(expected, rel=2e-3, abs=1e-4)
+
+
+def test_what_is_not_known_is_nan():
+    time, force, depth = example()
+    contact = fden_ros.fit(time, force, depth).contacts[0]
+    assert not contact.converged and math.isnan(contact.G.value)
+    assert "GEOMETRY_UNSTATED" in contact.flags
+    assert np.isnan(contact.predict([0.0, 1.0], [0.0, 0.001])).all()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")
+def test_a_table_has_a_row_a_contact():
+    table = fitted().to_dataframe()
+    assert table["G"].tolist() == [contact.G.value for contact in fitted().contacts]
+    assert table["converged"].all()
+
+
+def test_a_plot_is_drawn_on_the_axes_that_are_given():
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    axes = figure.subplots()
+    assert fitted().contacts[0].plot(axes) is axes
+    assert len(axes.lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"force": [1.0]}, "force has 1 samples"),
+        ({"force": ["a"] * 2226}, "force is no array of numbers"),
+        ({"time": np.zeros(2226)}, "time does not increase at sample 1"),
+        ({"displacement": np.full(2226, math.nan)}, "displacement has NaN"),
+        ({"force": np.zeros((2226, 3))}, "force has the shape"),
+        ({"prior": {"beta": 1.0}}, "prior.beta"),
+    ],
+)
+def test_what_cannot_be_used_gets_one_line(change, words):
+    given = dict(zip(("time", "force", "displacement"), example(), strict=True))
+    with pytest.raises(InputError, match=words) as error:
+        fden_ros.fit(**given | {"geometry": PROBE} | change)
+    assert "\n" not in str(error.value)
