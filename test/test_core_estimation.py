@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fden_ros.core.quadrature import QuadratureEstimator, Touch
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered
-from fden_ros.core.quadrature.covariance import Noise, scales_of
-from fden_ros.core.quadrature.filter import Filter
-from fden_ros.core.quadrature.grid import Cells, Grid, of_stiffness, solve, table, whitened
-from fden_ros.core.quadrature.law import Expansion, Law
-from fden_ros.core.quadrature.nuisance import rig_of
-from fden_ros.core.quadrature.record import Block, Record
+from fden_ros.core.estimation import GridEstimator, Touch
+from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.estimation.covariance import Noise, scales_of
+from fden_ros.core.estimation.filter import Filter
+from fden_ros.core.estimation.grid import Cells, Grid, of_stiffness, solve, table, whitened
+from fden_ros.core.estimation.law import Expansion, Law
+from fden_ros.core.estimation.nuisance import rig_of
+from fden_ros.core.estimation.record import Block, Record
 from scipy.integrate import quad
 
 from fden_ros.core.arrays import Array
@@ -69,14 +69,14 @@ def pressed(seed: int, hold: float = 1.0) -> Samples:
     return Samples(times[first:] - begin, strains[first:], stresses[first:], truth, clean[first:])
 
 
-def estimator(uncertainty: Uncertainty = EXACT) -> QuadratureEstimator:
+def estimator(uncertainty: Uncertainty = EXACT) -> GridEstimator:
     """Return an estimator that waits for its first touch."""
     config = EstimatorConfig(uncertainty=uncertainty)
-    return QuadratureEstimator(config, GEOMETRY, NOISE, CONTACT_POINT_SD)
+    return GridEstimator(config, GEOMETRY, NOISE, CONTACT_POINT_SD)
 
 
 def take(
-    of: QuadratureEstimator, samples: Samples, size: int = 5, stop: int | None = None
+    of: GridEstimator, samples: Samples, size: int = 5, stop: int | None = None
 ) -> Estimate:
     """Let an estimator take a press in parts; return its last estimate."""
     of.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
