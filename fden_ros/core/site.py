@@ -250,7 +250,9 @@ class Site(Standing):
                 innovation = self._estimator.update(block)
                 if innovation is not None:
                     _check_finite(innovation.innovation, innovation.variance)
-                    self._gate(innovation, was_explained=was_explained)
+                    # The paper's filter judges by chi squared: its coarse nodes surprise at first.
+                    if self._config.estimator.kind is EstimatorKind.GRID:
+                        self._gate(innovation, was_explained=was_explained)
             else:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
