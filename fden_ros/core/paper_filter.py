@@ -265,7 +265,7 @@ class PaperFilter(Estimator):
         #: Of (G, b) before the touch: G is all but unknown, as its own prior counts later.
         self._information = math.exp(-2.0 * (log_g + 3.0 * log_g_sd)), 1.0
         self._contact_count = self._sample_count = 0
-        self._is_over, self._is_settled = False, True
+        self._is_over, self._is_settled, self._is_refused = False, True, False
         self._blocks: list[tuple[_Step, float, float]] = []
         self._weighed: _Weighed
         self.innovation: CellInnovation | None = None
@@ -277,9 +277,12 @@ class PaperFilter(Estimator):
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether law, rig or noise are not as the filter has them."""
-        if self._sample_count == 0:
-            return False
+        """Whether law, rig or noise are not as the filter has them, by the newest grid."""
+        return self._is_refused
+
+    @property
+    def _is_contradicted(self) -> bool:
+        """Whether chi squared is too large for the noise."""
         grid, found = self._grid, self._weighed
         best, runs = int(found.weights.argmax()), grid.runs
         if found.chi_squared[best] > MOST_CHI_SQUARED * grid.bank.count:
@@ -345,10 +348,12 @@ class PaperFilter(Estimator):
             self._blocks.append((step, stress, noise))
             # In the air, before the first sample of the contact, all nodes behind the probe are as
             # likely: a grid that follows them loses the touch.
-            if self._sample_count and len(self._blocks) >= self._next_look:
+            is_coarse = self._is_settled and _count(self._weighed.weights) < _COUNTING
+            if self._sample_count and (is_coarse or len(self._blocks) >= self._next_look):
                 self._follow()
                 later = _EVERY if self._is_settled else _RESTART * len(self._blocks)
                 self._next_look = len(self._blocks) + math.ceil(later)
+                self._is_refused = self._is_contradicted
         g = np.exp(before.log_g)
         stresses = g * response + before.bias
         predicted = float(before.weights @ stresses)
@@ -420,13 +425,13 @@ class PaperFilter(Estimator):
     def _follow(self) -> None:
         """Lay new grids until enough nodes count and the outermost do not."""
         wide = np.ix_(self._wide, self._wide)
-        if self.is_mismatch and len(self._blocks) >= self._restart:
+        if self._is_contradicted and len(self._blocks) >= self._restart:
             self._restart = math.ceil((1.0 + _RESTART) * len(self._blocks))
             self._lay(self._mean, np.diag(_STEP * self._sd))
         for _ in range(_ROUNDS):
             grid, logs = self._grid, self._weigh().log_weights
             weights, is_few = normalized(logs), False
-            while 1.0 / (weights @ weights) < _COUNTING:
+            while _count(weights) < _COUNTING:
                 is_few, logs = True, 0.5 * logs
                 weights = normalized(logs)
             best = int(logs.argmax())
@@ -461,7 +466,7 @@ class PaperFilter(Estimator):
         deviations = np.sqrt(covariance.diagonal())
         strains = grid.strains(np.array(self._deepest))
         beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
-        is_sound = self._is_settled and self._contact_count < 2 and not self.is_mismatch
+        is_sound = self._is_settled and self._contact_count < 2 and not self._is_refused
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),
@@ -483,3 +488,8 @@ def normalized(log_weights: Array) -> Array:
     """Return weights that add up to 1."""
     weights: Array = np.exp(log_weights)
     return weights / weights.sum()
+
+
+def _count(weights: Array) -> float:
+    """Return how many nodes count."""
+    return 1.0 / float(weights @ weights)

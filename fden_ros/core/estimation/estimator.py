@@ -18,9 +18,10 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
-from fden_ros.core.estimation.estimate import Budget, Estimate, ParameterSet
+from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Touch
+from fden_ros.core.estimation.grid import Grid
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.place import PlacePosterior, Setting
 from fden_ros.core.estimation.posterior import Posterior
@@ -90,6 +91,7 @@ class GridEstimator(Estimator):
         self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
+        self._law_error: tuple[Grid, LawError | None] | None = None
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -283,12 +285,20 @@ class GridEstimator(Estimator):
             at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
             mean_dwell_time=best.posterior.mean_dwell_time,
-            law_error=best.posterior.law_error(best.place.elapsed, best.place.deepest),
+            law_error=self._law_error_of(best),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
             components=_components(parts),
             small_motions=self._small_motions(parts),
         )
+
+    def _law_error_of(self, part: _Part) -> LawError | None:
+        """Return the errors of the law by the newest grid."""
+        grid = part.posterior.grid
+        if self._law_error is None or self._law_error[0] is not grid:
+            found = part.posterior.law_error(part.place.elapsed, part.place.deepest)
+            self._law_error = grid, found
+        return self._law_error[1]
 
     def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
         shifts = {id(one.place): one.shift for one in self._hypotheses}

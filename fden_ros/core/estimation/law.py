@@ -422,8 +422,8 @@ class Plateau(Law):
     """
 
     kernels: ClassVar = 2
-    counts: ClassVar[tuple[int, ...]] = (5, 5, 7, 5)
-    broad: ClassVar[tuple[int, ...]] = (5, 7, 9, 5)
+    counts: ClassVar[tuple[int, ...]] = (5, 5, 5, 3)
+    broad: ClassVar[tuple[int, ...]] = (5, 5, 7, 3)
     has_kernel_error: ClassVar = False
 
     @property

@@ -15,9 +15,9 @@ from fden_ros.core.estimation.grid import Grid, begun, laid, log_evidence_of, pr
 from fden_ros.core.estimation.law import Plateau
 
 #: It is asked for anew where the time of the press has grown by this factor [1].
-_GROWTH = 1.5
+_GROWTH = 2.0
 #: Rounds of a question [1].
-_ROUNDS = 12
+_ROUNDS = 8
 
 
 class Rival:
