@@ -12,14 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fden_ros.core.estimation import GridEstimator, Touch
-from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
-from fden_ros.core.estimation.covariance import Noise, scales_of
-from fden_ros.core.estimation.filter import Filter
-from fden_ros.core.estimation.grid import Cells, Grid, of_stiffness, solve, table, whitened
-from fden_ros.core.estimation.law import Expansion, Law
-from fden_ros.core.estimation.nuisance import rig_of
-from fden_ros.core.estimation.record import Block, Record
 from scipy.integrate import quad
 
 from fden_ros.core.arrays import Array
@@ -27,10 +19,19 @@ from fden_ros.core.estimation import (
     NOTHING_UNKNOWN,
     Estimate,
     EstimatorConfig,
+    GridEstimator,
     ParameterSet,
+    Touch,
     Uncertainty,
     moments,
 )
+from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.estimation.covariance import Noise, scales_of
+from fden_ros.core.estimation.filter import Filter
+from fden_ros.core.estimation.grid import Cells, Grid, of_stiffness, solve, table, whitened
+from fden_ros.core.estimation.law import Expansion, Law
+from fden_ros.core.estimation.nuisance import rig_of
+from fden_ros.core.estimation.record import Block, Record
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
@@ -75,9 +76,7 @@ def estimator(uncertainty: Uncertainty = EXACT) -> GridEstimator:
     return GridEstimator(config, GEOMETRY, NOISE, CONTACT_POINT_SD)
 
 
-def take(
-    of: GridEstimator, samples: Samples, size: int = 5, stop: int | None = None
-) -> Estimate:
+def take(of: GridEstimator, samples: Samples, size: int = 5, stop: int | None = None) -> Estimate:
     """Let an estimator take a press in parts; return its last estimate."""
     of.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
     found = of.estimate()

@@ -15,7 +15,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from fden_ros.core import ContactSummary, Pipeline
-from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, Prior
+from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Touch
 from fden_ros.core.law import PassThrough
 from fden_ros.core.paper_filter import PaperFilter, _Bank, _Grid, _step
 from fden_ros.parameters import check, pipeline_config
@@ -87,13 +87,11 @@ def identified(press):
     times, strains, stresses = press.times, press.strains, press.stresses
     first = int(np.argmax(strains > -press.origin_sd))
     way = np.array([times - times[first], strains, stresses])[:, :first]
-    estimator.begin_contact(press.bias_sd, 0.0, way)
+    estimator.touch(Touch(press.bias_sd, 0.0, way), 0.0)
     for start in range(first, times.size - SIZE + 1, SIZE):
         own = slice(start, start + SIZE)
-        for strain, stress in zip(strains[own], stresses[own], strict=True):
-            estimator.take(STEP, strain, stress, is_free=False)
-        mean = float(strains[own].mean()), float(stresses[own].mean())
-        estimator.update(Block(*mean, 0.0, SIZE, SIZE * STEP, np.empty(0)))
+        since = times[own] - times[first] + STEP
+        estimator.add(since.tolist(), strains[own].tolist(), stresses[own].tolist(), [True] * SIZE)
     return estimator, estimator.estimate()
 
 
@@ -189,10 +187,9 @@ def test_a_later_contact_of_a_place_claims_nothing():
     press = press_of(3, 1e-3)
     estimator, first = identified(press)
     assert first.converged
-    estimator.rest(2.0)
-    estimator.begin_contact(press.bias_sd, 0.0, None)
-    estimator.take(STEP, 0.01, 10.0, is_free=False)
-    assert estimator.update(Block(0.01, 10.0, 0.0, 1, STEP, np.empty(0))) is None
+    estimator.touch(Touch(press.bias_sd, 0.0, np.zeros((3, 0))), 2.0)
+    estimator.add([STEP], [0.01], [10.0], [True])
+    assert estimator.innovation is None
     assert not estimator.estimate().known
 
 

@@ -22,7 +22,7 @@ from pipeline_helpers import Item
 from property_helpers import examples
 
 from fden_ros.core.contact import ContactDetector
-from fden_ros.core.estimation import PosteriorEstimator
+from fden_ros.core.estimation import GridEstimator
 from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import Synchronizer
@@ -53,11 +53,11 @@ def breaks(
     return calls
 
 
-def of_first_site(after: int = 0) -> Callable[[PosteriorEstimator], bool]:
+def of_first_site(after: int = 0) -> Callable[[GridEstimator], bool]:
     """Of the estimator that was called first, from a number of calls on."""
-    seen: list[PosteriorEstimator] = []
+    seen: list[GridEstimator] = []
 
-    def when(estimator: PosteriorEstimator) -> bool:
+    def when(estimator: GridEstimator) -> bool:
         seen.append(estimator)
         return estimator is seen[0] and len(seen) > after
 
@@ -71,12 +71,12 @@ def clean() -> Outcome:
 
 @pytest.mark.parametrize(
     ("name", "after"),
-    [("begin_contact", 0), ("take", 9), ("update", 20), ("finish", 0), ("estimate", 40)],
+    [("touch", 0), ("add", 20), ("release", 0), ("estimate", 40)],
 )
 def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
     monkeypatch, clean, name, after
 ):
-    breaks(monkeypatch, PosteriorEstimator, name, of_first_site(after))
+    breaks(monkeypatch, GridEstimator, name, of_first_site(after))
     s = shift()
     outcome = outcome_of(s.items, s.parameters)
     assert_sound(outcome.outputs)
@@ -96,7 +96,7 @@ def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
 
 
 def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch):
-    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, GridEstimator, "add", of_first_site(20))
     s = shift()
     # All at one place: the second and third contact are of the same site.
     items = [item._replace(position=None) for item in s.items]
@@ -112,20 +112,20 @@ def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch):
     middle = next(k for k, item in enumerate(items) if s.second(item.stamp_ns) > 7.0)
     steps = [*items[:middle], Pipeline.reset, *items[middle:]]
     monkeypatch.undo()
-    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, GridEstimator, "add", of_first_site(20))
     again = outcome_of(steps, parameters)
     assert again.summaries[1].converged and not again.summaries[1].flags
     assert not again.pipeline.is_failed
 
 
 def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch):
-    real = PosteriorEstimator.estimate
+    real = GridEstimator.estimate
 
-    def estimate(self: PosteriorEstimator) -> Any:
+    def estimate(self: GridEstimator) -> Any:
         found = real(self)
         return found._replace(covariance=found.covariance * np.nan)
 
-    monkeypatch.setattr(PosteriorEstimator, "estimate", estimate)
+    monkeypatch.setattr(GridEstimator, "estimate", estimate)
     s = shift()
     outcome = outcome_of(s.items, s.parameters)
     assert_sound(outcome.outputs)
@@ -183,7 +183,7 @@ def test_replay_goes_on_with_the_next_site_warns_and_logs_the_traceback_once(
     parameters = read_parameter_file(bag / "identifier.yaml")
     whole = replay(bag, parameters)
     assert whole.failures == () and [c.site_id for c in whole.summaries] == [1, 2, 3]
-    breaks(monkeypatch, PosteriorEstimator, "update", of_first_site(20))
+    breaks(monkeypatch, GridEstimator, "add", of_first_site(20))
     with caplog.at_level(logging.ERROR):
         result = replay(bag, parameters)
     failed = [c for c in result.summaries if c.flags & Flag.ESTIMATION_FAILED]

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import outcome_of
-from fden_ros.core.estimation.proposals.place import Tissue as Belief
-from fden_ros.core.estimation.proposals.place import log_ratio
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts
 
@@ -204,25 +202,6 @@ def errors(seed: int, places: int) -> list[list[float]]:
         off = estimate.mean - [*truth, tissue.fractional_order]
         result.append((off / estimate.deviations).tolist())
     return result
-
-
-def test_the_evidence_under_another_prior_is_that_of_its_own_integral():
-    drawn = np.random.default_rng(4)
-    root = drawn.normal(size=(3, 3))
-    told_alone = root @ root.T  # precision of what the press tells
-    best = drawn.normal(size=3)
-    prior = Belief(np.zeros(3), np.diag([4.0, 1.0, 0.25]))
-    other = Belief(np.array([0.3, -0.2, 0.1]), np.diag([0.09, 0.04, 0.01]))
-    precision = told_alone + np.linalg.inv(prior.covariance)
-    covariance = np.linalg.inv(precision)
-    told = Belief(covariance @ told_alone @ best, covariance)
-
-    def integral(belief):
-        samples = drawn.multivariate_normal(belief.mean, belief.covariance, 400_000) - best
-        return np.mean(np.exp(-0.5 * np.einsum("ni,ij,nj->n", samples, told_alone, samples)))
-
-    expected = np.log(integral(other) / integral(prior))
-    assert log_ratio(prior, other, told, learns_order=True) == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.parametrize("places", [1, 3])

@@ -455,7 +455,7 @@ def test_what_leaves_the_core_is_read_without_a_solver():
     code = "import sys, fden_ros.core.outputs; print(*sys.modules)"
     loaded = set(run(sys.executable, "-c", code).stdout.split())
     assert "fden_ros.core.estimation.estimate" in loaded
-    solver = {f"fden_ros.core.estimation.{name}" for name in ("maximum", "search", "posterior")}
+    solver = {f"fden_ros.core.estimation.{name}" for name in ("estimator", "grid", "posterior")}
     assert not loaded & {*solver, "scipy.optimize"}
 
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fden_ros.core.estimation.budget import SOURCES
 from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
@@ -193,7 +192,7 @@ def lacking(
     covariance[index, index] = deviation**2
     known = ParameterSet.ALL & ~(1 << index)
     variances = covariance[0, 0], covariance[1, 1]
-    parts = {name: (0.0, 0.0) for name in SOURCES}
+    parts = {name: (0.0, 0.0) for name in BY_SOURCE}
     parts[source] = (0.9 * variances[0], 0.9 * variances[1])
     contact = summary(
         converged=False,
@@ -216,7 +215,7 @@ def lacking(
     return words, contact
 
 
-@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("source", BY_SOURCE)
 def test_the_largest_source_is_named_with_its_share_and_its_remedy(source):
     words, _ = lacking(source, 1, 0.12)
     assert words.startswith("Gn is known to 12 % only")

@@ -33,6 +33,8 @@ from fden_ros.core.law import Geometry
 _UNSEEN = 0.5
 #: Odds at which a place is dropped [1].
 _ODDS = 20.0
+#: The log evidence of a grid that is not settled is low by less than this [1].
+_LOW = 10.0
 #: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
 _SIMILAR = np.array([0.3, 0.15, 0.04])
 #: Probability of a plateau from which on the law is contradicted [1].
@@ -153,12 +155,21 @@ class GridEstimator(Estimator):
         """End the press; return the estimate."""
         for one in self._hypotheses:
             one.place.release()
-        # One that is not solved is not weighed.
-        solved = [one for one in self._hypotheses if one.place.is_settled]
-        if solved:
-            least = max(one.log_weight for one in solved) - math.log(_ODDS)
-            self._hypotheses = [one for one in solved if one.log_weight >= least]
+        self._hypotheses = self._possible()
         return self.estimate()
+
+    def _possible(self) -> list[_Hypothesis]:
+        """Return the places that are not far less likely than a settled one.
+
+        One that is not settled may be likelier than it seems.
+        """
+        settled = [one.log_weight for one in self._hypotheses if one.place.is_settled]
+        least = max(settled, default=-math.inf) - math.log(_ODDS)
+        return [
+            one
+            for one in self._hypotheses
+            if one.log_weight >= least - (0.0 if one.place.is_settled else _LOW)
+        ]
 
     # What else the pipeline needs
 
@@ -265,8 +276,8 @@ class GridEstimator(Estimator):
             known &= part.claims.known
             at_edge |= part.claims.at_edge
         known &= converged(config, sds[:3], observable)
-        is_open = any(one.place.filter is None for one in self._hypotheses)
-        if is_open or self.is_changed:
+        is_solved = all(one.place.is_settled for one in self._possible())
+        if not is_solved or self.is_changed:
             known = ParameterSet.NONE
         best = max(parts, key=lambda part: part.weight)
         grid = best.posterior.grid

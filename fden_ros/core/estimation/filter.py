@@ -260,8 +260,8 @@ class Filter:
         """Return the covariance of the walks at all cells with those at a new one."""
         old, scales = self._clocks, self.scales
         same = old.press == new.press
-        found = same * (scales.roughness**2 * old.roughness + old.force)
-        return np.asarray(found + scales.motion**2 * new.gain * old.gain * old.surface)
+        surface = scales.motion**2 * new.gain * old.gain * old.surface
+        return np.asarray(same * (scales.roughness**2 * old.roughness + old.force + surface))
 
     def _walked_to(self, new: Clocks) -> float:
         found = self.scales.roughness**2 * new.roughness + new.force

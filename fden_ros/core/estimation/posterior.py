@@ -246,6 +246,7 @@ def _moments(values: Array, weights: Array, variances: Array) -> tuple[Array, Ar
     """Return mean and covariance of weighed values, the first of which have variances."""
     mean = weights @ values
     off = values - mean
-    covariance = (off * weights[:, None]).T @ off
+    root = off * np.sqrt(weights)[:, None]
+    covariance = root.T @ root
     covariance[0, 0] += float(weights @ variances)
     return mean, covariance
