@@ -194,8 +194,9 @@ def _feed(pipeline: Pipeline, steps: Iterable[Step]) -> None:
 def numbers_of(value: object) -> Iterator[float]:
     """Give every floating-point number of an output."""
     if isinstance(value, Estimate):
-        # Where the law has no error it is not known how probable another is.
-        value = tuple(value._replace(plateau_probability=0.0))
+        # Where the law has no error it is not known how probable another is. The nodes are not
+        # published.
+        value = tuple(value._replace(plateau_probability=0.0, small_motions=()))
     if isinstance(value, np.ndarray):
         yield from value.ravel().tolist()
     elif isinstance(value, float):
