@@ -89,6 +89,8 @@ def of_stiffness(a: Array, b: Array, mean: float, sd: float) -> Stiffness:
     """
     a = np.maximum(a, 1e-300)
     g = np.log(np.maximum(b, 1e-3 * np.sqrt(a)) / a)
+    # A node without a response says nothing of G.
+    g = np.clip(g, mean - 8.0 * sd, mean + 8.0 * sd)
     for _ in range(30):
         e = np.exp(g)
         curve = np.maximum(2.0 * a * e**2 - b * e, 0.5 * a * e**2) + 1.0 / sd**2
