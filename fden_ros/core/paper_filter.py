@@ -42,16 +42,18 @@ from fden_ros.core.estimation import (
     Estimate,
     Estimator,
     EstimatorConfig,
+    Evidence,
     Innovation,
+    claims_of,
 )
-from fden_ros.core.estimation.claims import Evidence, claims_of
-from fden_ros.core.law import Geometry, phi
-from fden_ros.core.law.relaxation import (
+from fden_ros.core.law import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
     RATE_COUNT,
     RATES,
     SHORTEST_STEP,
+    Geometry,
+    phi,
     relaxation_weights,
 )
 

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.claims import (
     EDGE,
+    Evidence,
     Reservations,
+    claims_of,
     converged,
     determined,
     probability_beyond,
@@ -61,6 +63,7 @@ __all__ = [
     "Estimator",
     "EstimatorConfig",
     "EstimatorKind",
+    "Evidence",
     "Innovation",
     "LawError",
     "ParameterSet",
@@ -70,6 +73,7 @@ __all__ = [
     "Reservations",
     "StateIndex",
     "Uncertainty",
+    "claims_of",
     "converged",
     "determined",
     "ended",
