@@ -17,6 +17,7 @@ The sizes of the law's errors and of the surface's motion, :class:`Scales`, are 
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -83,6 +84,7 @@ class Scales(NamedTuple):
         return self.kernel, self.curve
 
 
+@functools.lru_cache(maxsize=16)
 def scales_of(uncertainty: Uncertainty) -> tuple[Scales, ...]:
     """Return the grid of scales."""
     unit = uncertainty.characteristic_sd

@@ -1,19 +1,34 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The estimator of one site: samples in, estimates out."""
+"""The estimator of one site: samples in, estimates out.
+
+Where nothing says whether a touch is of the same place as the one before, there are two records:
+one goes on, one begins. Both take the samples, and the evidence of these weighs them. What is
+published is their mixture, until one has odds of 20 to 1.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fden_ros.core.estimation import Estimate, EstimatorConfig
-from fden_ros.core.estimation.claims import Evidence, claims_of
+from fden_ros.core.arrays import Array
+from fden_ros.core.estimation import (
+    Component,
+    Estimate,
+    EstimatorConfig,
+    LawError,
+    ParameterSet,
+    moments,
+)
+from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.law import Geometry
 from fden_ros.core.quadrature.filter import Innovation
+from fden_ros.core.quadrature.grid import Grid
 from fden_ros.core.quadrature.place import PlacePosterior, Setting, Touch
 from fden_ros.core.quadrature.posterior import Posterior
 from fden_ros.core.quadrature.small_motion import SmallMotion
@@ -21,6 +36,40 @@ from fden_ros.core.quadrature.small_motion import SmallMotion
 #: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
 #: discrepancy of the law [1]: on a ramp only the curve is.
 _UNSEEN = 0.5
+#: Odds at which a place is dropped [1].
+_ODDS = 20.0
+#: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
+_SIMILAR = np.array([0.3, 0.15, 0.04])
+#: Probability of a plateau from which on the law is contradicted [1].
+_MISMATCH = 0.95
+
+
+@dataclass
+class _Hypothesis:
+    """A place that may be the one that is touched."""
+
+    place: PlacePosterior
+    log_prior: float = 0.0
+    shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
+    base: float = 0.0  #: log evidence of its record before the touch
+
+    @property
+    def log_weight(self) -> float:
+        """Of the press that is open, or the last."""
+        return self.log_prior + self.place.log_evidence - self.base
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One hypothesis by now."""
+
+    weight: float
+    place: PlacePosterior
+    posterior: Posterior
+    mean: Array  #: of (ln G, ln Gn, alpha, contact point), (4,)
+    covariance: Array
+    claims: Claims
+    beyond: float
 
 
 class QuadratureEstimator:
@@ -44,16 +93,41 @@ class QuadratureEstimator:
         contact_point_sd: float = 0.0,
         path_variance: float = 0.0,
     ) -> None:
-        setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
-        self.place = PlacePosterior(setting)
-        self._time = 0.0
-        self._count = 0
-        self._estimate: Estimate | None = None
+        self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
+        self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
+        self._touched_at, self._now, self._count = 0.0, 0.0, 0
+        self._law_error: tuple[Grid, LawError | None] | None = None
+
+    def may_continue(self, other: QuadratureEstimator, shift: float, log_wider: float) -> None:
+        """Let the next touch, the first, be perhaps of the place that another one was on.
+
+        Parameters
+        ----------
+        shift : float
+            By which the indentations of the other are larger [1].
+        log_wider : float
+            Logarithm of how much wider the contact point's prior is than where the touch showed
+            the surface: that noise may hide it makes a new place no less likely.
+        """
+        self._now = other._now
+        before = max(other._hypotheses, key=lambda one: one.log_weight)
+        if before.place.filter is None:
+            return
+        noise_sd = before.place.noise_sd
+        similar = replace(self._setting, config=_similar(self._setting.config, other.estimate()))
+        self._hypotheses = [
+            _Hypothesis(before.place.continued(), math.log(2.0), before.shift + shift),
+            _Hypothesis(PlacePosterior(self._setting, noise_sd), log_wider),
+            _Hypothesis(PlacePosterior(similar, noise_sd), log_wider),
+        ]
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
-        self._time = self.place.now + pause
-        self.place.touch(onset, self._time)
+        self._now = self._touched_at = self._now + pause
+        for one in self._hypotheses:
+            one.base = one.place.log_evidence
+            approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
+            one.place.touch(onset._replace(approach=approach), self._now)
 
     def add(
         self,
@@ -74,56 +148,112 @@ class QuadratureEstimator:
             Whether the probe is on the tissue, as far as is known.
         """
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
-            self.place.add(self._time + time, u, f, on_tissue=on)
+            self._now = self._touched_at + time
+            for one in self._hypotheses:
+                one.place.add(self._now, u + one.shift, f, on_tissue=on)
         self._count += len(times)
         return self.estimate()
 
     def release(self) -> Estimate:
         """End the press; return the estimate."""
-        self.place.release()
+        for one in self._hypotheses:
+            one.place.release()
+        # One that is not solved is not weighed.
+        solved = [one for one in self._hypotheses if one.place.is_settled]
+        if solved:
+            least = max(one.log_weight for one in solved) - math.log(_ODDS)
+            self._hypotheses = [one for one in solved if one.log_weight >= least]
         return self.estimate()
+
+    # What else the pipeline needs
+
+    @property
+    def best(self) -> PlacePosterior:
+        """The likeliest place."""
+        return max(self._hypotheses, key=lambda one: one.log_weight).place
 
     @property
     def innovation(self) -> Innovation | None:
         """Of the newest block; None: it was not predicted."""
-        return self.place.innovation
+        return self.best.innovation
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the tissue under the probe has changed since the touch."""
+        return all(one.place.is_changed for one in self._hypotheses)
+
+    @property
+    def plateau_probability(self) -> float:
+        """Probability that the relaxation has a plateau [1]; NaN: it was not asked for."""
+        return self.best.plateau_probability
+
+    @property
+    def is_mismatch(self) -> bool:
+        """Whether the data contradict the law."""
+        return self.plateau_probability > _MISMATCH
+
+    # The estimate
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        posterior = self.place.posterior()
-        found = self._prior() if posterior is None else self._of(posterior)
+        parts = self._parts()
+        found = self._mixed(parts) if parts else self._prior()
         return found._replace(sample_count=self._count)
 
+    def _parts(self) -> list[_Part]:
+        known = [one for one in self._hypotheses if one.place.filter is not None]
+        if not known:
+            return []
+        logs = np.array([one.log_weight for one in known])
+        weights = np.exp(logs - logs.max())
+        weights /= weights.sum()
+        likely = [k for k, weight in enumerate(weights) if weight > 1.0 / (1.0 + _ODDS)]
+        total = float(weights[likely].sum())
+        return [self._part(known[k], float(weights[k]) / total) for k in likely]
+
+    def _part(self, one: _Hypothesis, weight: float) -> _Part:
+        posterior, config = one.place.posterior(), self._setting.config
+        assert posterior is not None
+        mean, covariance = posterior.tissue
+        beyond = posterior.probability_beyond(one.place.deepest)
+        mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
+        sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        claims = claims_of(config, Evidence(mean[:3], sds[:3], beyond, one.place.is_settled))
+        return _Part(weight, one.place, posterior, mean, covariance, claims, beyond)
+
     def _prior(self) -> Estimate:
-        setting = self.place.setting
-        config = setting.config
+        config = self._setting.config
         covariance = np.diag(config.prior.deviations**2)
         covariance[:2, :2] += config.uncertainty.thickness_sd**2
-        claims = claims_of(
-            config, Evidence(config.prior.mean, np.sqrt(covariance.diagonal()), 0.0, False)
-        )
+        sds = np.sqrt(covariance.diagonal())
+        claims = claims_of(config, Evidence(config.prior.mean, sds, 0.0, False))
         log_g, log_gn, order = config.prior.mean.tolist()
         return Estimate(
             log_g,
             log_gn,
             order,
             covariance=covariance,
-            contact_point_sd=setting.contact_point_sd,
+            contact_point_sd=self._setting.contact_point_sd,
             observable=claims.observable,
             known=claims.known,
         )
 
-    def _of(self, posterior: Posterior) -> Estimate:
-        config = self.place.setting.config
-        mean, covariance = posterior.tissue
-        beyond = posterior.probability_beyond(self.place.deepest)
-        evidence = Evidence(
-            mean[:3], np.sqrt(covariance.diagonal()[:3]), beyond, self.place.is_settled
-        )
-        claims = claims_of(config, evidence)
-        seen = self.place.has_slowed or self.place.presses > 1
-        unseen = 0.0 if seen else (_UNSEEN * config.uncertainty.characteristic_sd) ** 2
-        grid = posterior.grid
+    def _mixed(self, parts: Sequence[_Part]) -> Estimate:
+        config = self._setting.config
+        mean, covariance = moments([Component(p.weight, p.mean, p.covariance) for p in parts])
+        sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+        observable = known = ParameterSet.ALL
+        at_edge = ParameterSet.NONE
+        for part in parts:
+            observable &= part.claims.observable
+            known &= part.claims.known
+            at_edge |= part.claims.at_edge
+        known &= converged(config, sds[:3], observable)
+        is_open = any(one.place.filter is None for one in self._hypotheses)
+        if is_open or self.is_changed:
+            known = ParameterSet.NONE
+        best = max(parts, key=lambda part: part.weight)
+        grid = best.posterior.grid
         log_g, log_gn, order, contact_point = mean.tolist()
         with_point = covariance[3, :3].tolist()
         return Estimate(
@@ -132,14 +262,62 @@ class QuadratureEstimator:
             order,
             covariance=covariance[:3, :3],
             contact_point=contact_point,
-            contact_point_sd=math.sqrt(float(covariance[3, 3])),
-            probability_beyond_boundary=beyond,
-            observable=claims.observable,
-            known=claims.known,
-            at_edge=claims.at_edge,
+            contact_point_sd=float(sds[3]),
+            probability_beyond_boundary=sum(p.weight * p.beyond for p in parts),
+            observable=observable,
+            known=known,
+            at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
-            mean_dwell_time=grid.covariance.loading.age,
+            mean_dwell_time=best.posterior.mean_dwell_time,
+            law_error=self._law_error_of(best),
+            other_law_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
-            components=posterior.components,
-            small_motions=(SmallMotion(posterior, unseen=unseen),),  # type: ignore[arg-type]
+            components=_components(parts),
+            small_motions=self._small_motions(parts),  # type: ignore[arg-type]
         )
+
+    def _law_error_of(self, part: _Part) -> LawError | None:
+        """Return the errors of the law by the newest grid."""
+        grid = part.posterior.grid
+        if self._law_error is None or self._law_error[0] is not grid:
+            found = part.posterior.law_error(part.place.elapsed, part.place.deepest)
+            self._law_error = grid, found
+        return self._law_error[1]
+
+    def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
+        shifts = {id(one.place): one.shift for one in self._hypotheses}
+        sd = _UNSEEN * self._setting.config.uncertainty.characteristic_sd
+        found = []
+        for part in parts:
+            is_seen = part.place.has_slowed or part.place.presses > 1
+            unseen = 0.0 if is_seen else sd**2
+            shift = shifts[id(part.place)]
+            found.append(SmallMotion(part.posterior, part.weight, shift, unseen=unseen))
+        return tuple(found)
+
+
+def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
+    """Return what is known of tissue that is similar to one that is estimated."""
+    sds = np.hypot(estimate.deviations, _SIMILAR)
+    sds = np.minimum(sds, config.prior.deviations).tolist()
+    mean = estimate.mean
+    prior = replace(
+        config.prior,
+        linear_stiffness=math.exp(mean[0]),
+        nonlinear_stiffness=math.exp(mean[1]),
+        fractional_order=float(mean[2]),
+        linear_stiffness_log_sd=sds[0],
+        nonlinear_stiffness_log_sd=sds[1],
+        fractional_order_sd=sds[2],
+    )
+    return replace(config, prior=prior)
+
+
+def _components(parts: Sequence[_Part]) -> tuple[Component, ...]:
+    """Return at most 8 Gaussians of (ln G, ln Gn, alpha)."""
+    most = (8, 4, 2)[len(parts) - 1]
+    return tuple(
+        component._replace(weight=part.weight * component.weight)
+        for part in parts
+        for component in part.posterior.components(most)
+    )

@@ -31,6 +31,7 @@ from fden_ros.core.quadrature.grid import (
     Grid,
     Stiffness,
     cut,
+    log_evidence_of,
     log_sum,
     of_stiffness,
     prior_of_log_g,
@@ -145,13 +146,23 @@ class Filter:
         return np.asarray(np.exp(cut(grid.law, grid.nodes, self.stiffness.log + grid.log_prior)))
 
     @property
-    def log_evidence(self) -> float:
-        """Of the record by now, at the leading scales."""
+    def log_leading(self) -> float:
+        """Log evidence of the record by now at the leading scales, with their prior as it is."""
         return float(log_sum(self._now.log + self.grid.log_prior))
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the record by now."""
+        return log_evidence_of(self.grid.law, self.stiffness.log + self.grid.log_prior)
 
     def _weighed(self) -> Stiffness:
         found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
         return found._replace(log=found.log - self._rest)
+
+    @property
+    def mean_dwell_time(self) -> float:
+        """Mean time since the load was built up [s]."""
+        return self._loading.age
 
     @property
     def points(self) -> int:

@@ -252,12 +252,11 @@ class Grid:
         log = self.stiffness.log + self.log_prior
         return np.asarray(np.exp(cut(self.law, self.nodes, log)))
 
-    @property
-    def log_evidence(self) -> float:
-        """Of the record, with the prior of the scales normalised."""
-        own = log_sum(self.stiffness.log + self.log_prior)
-        places = scales_of(self.law.config.uncertainty)
-        return float(own - log_sum(np.array([one.log_prior for one in places])))
+
+def log_evidence_of(law: Law, log: Array) -> float:
+    """Return the log evidence of nodes, with the prior of the scales normalised."""
+    places = scales_of(law.config.uncertainty)
+    return float(log_sum(log) - log_sum(np.array([one.log_prior for one in places])))
 
 
 def cut(law: Law, nodes: Array, log: Array) -> Array:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -191,6 +191,10 @@ class Law:
         deepest = max(float(p.indentations[p.last].max()) for p in place.presses)
         strain = geometry.strain(max(deepest + contact_point_sd, 0.0))
         return cls(config, geometry, place, rig, contact_point_sd, last_knot(strain))
+
+    def as_kind(self, kind: type[Law]) -> Law:
+        """Return another law of the same place."""
+        return kind(*(getattr(self, field.name) for field in fields(self)))
 
     # What another law has otherwise
 
@@ -418,8 +422,8 @@ class Plateau(Law):
     """
 
     kernels: ClassVar = 2
-    counts: ClassVar[tuple[int, ...]] = (5, 5, 7, 5)
-    broad: ClassVar[tuple[int, ...]] = (5, 7, 9, 5)
+    counts: ClassVar[tuple[int, ...]] = (5, 5, 5, 3)
+    broad: ClassVar[tuple[int, ...]] = (5, 5, 7, 3)
     has_kernel_error: ClassVar = False
 
     @property

@@ -10,6 +10,7 @@ cells since; nothing is claimed of one that is not settled.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,11 +23,12 @@ from fden_ros.core.law import Geometry
 from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered, moments_of
 from fden_ros.core.quadrature.covariance import Noise
 from fden_ros.core.quadrature.filter import Filter, Innovation
-from fden_ros.core.quadrature.grid import Start, begun, continued, laid
+from fden_ros.core.quadrature.grid import begun, continued, laid
 from fden_ros.core.quadrature.law import Law
 from fden_ros.core.quadrature.nuisance import rig_of
 from fden_ros.core.quadrature.posterior import Posterior
 from fden_ros.core.quadrature.record import LINE_TOLERANCE, Block, Record
+from fden_ros.core.quadrature.rival import Rival
 
 #: Blocks and time [s] from the touch that the first grid of a press needs.
 _LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
@@ -41,6 +43,8 @@ _PRESSES = 3
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
 _LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
+_GATE, _GATE_BLOCKS = 4.0, 3
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
 
@@ -75,30 +79,55 @@ class PlacePosterior:
         The weighted nodes; None: there are none yet.
     innovation : Innovation or None
         Of the newest block.
+    is_changed : bool
+        The tissue under the probe has changed since the touch.
     """
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
         self.setting = setting
         self.filter: Filter | None = None
         self.innovation: Innovation | None = None
         self.deepest = -math.inf
         self.now = 0.0
-        self._noise_sd = 0.0
+        self.noise_sd = noise_sd
         self._ended: list[Press] = []
         self._older, self._older_end = np.zeros(CREEP_RATES.size), 0.0
         self._touch: Touch | None = None
+        self._began = 0.0
         self._record: Record | None = None
         self._press: Press | None = None
         self._blocks = 0
         self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
         self._fastest = 0.0
-        self.has_slowed = False
-        self._start: Start | None = None
+        self.has_slowed = self.is_changed = False
+        self._beyond = 0
+        self._rival = Rival()
 
     @property
     def presses(self) -> int:
         """Presses so far, with the present one."""
         return len(self._ended) + (self._record is not None)
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the touch [s]."""
+        return max(self.now - self._began, 1e-3)
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the record by now; 0 where there is none."""
+        return self.filter.log_evidence if self.filter is not None else 0.0
+
+    @property
+    def plateau_probability(self) -> float:
+        """Probability that the relaxation has a plateau [1]; NaN: it was not asked for."""
+        return self._rival.probability
+
+    def continued(self) -> PlacePosterior:
+        """Return a copy, for a press that may be of this place."""
+        found = copy.copy(self)
+        found._ended, found._rival = list(self._ended), copy.copy(self._rival)
+        return found
 
     @property
     def is_settled(self) -> bool:
@@ -112,13 +141,13 @@ class PlacePosterior:
         setting, geometry = self.setting, self.setting.geometry
         reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
         is_at_rest = geometry.is_one_sided and not self._ended
-        self._record = Record(self._noise_sd, reach, is_at_rest=is_at_rest)
+        self._record = Record(self.noise_sd, reach, is_at_rest=is_at_rest)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
-        self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self._noise_sd)
+        self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
-        self._is_pressed = self.has_slowed = False
-        self._fastest = 0.0
+        self._is_pressed = self.has_slowed = self.is_changed = False
+        self._fastest, self._beyond = 0.0, 0
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -129,8 +158,8 @@ class PlacePosterior:
             if setting.path_variance:
                 # By the mean step: the last alone may be short.
                 mean_step = (time - self._began) / self._steps
-                self._noise_sd = math.sqrt(setting.path_variance / mean_step)
-                record.noise_sd = record.noise_sd or self._noise_sd
+                self.noise_sd = math.sqrt(setting.path_variance / mean_step)
+                record.noise_sd = record.noise_sd or self.noise_sd
         self.now = time
         self._is_pressed |= on_tissue
         # Before the first stress the force counts as well: there is none.
@@ -144,11 +173,26 @@ class PlacePosterior:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block.slope)
         if self._press is not None:
-            self._press = self._press.appended(block, self._noise_sd)
-            if self.filter is not None and not self.filter.is_full:
-                self.innovation = self.filter.append(self._press) or self.innovation
+            self._press = self._press.appended(block, self.noise_sd)
+            assert self.filter is not None
+            found = self.filter.append(self._press)
+            if found is not None:
+                self._see_innovation(found)
         if self._is_due(block):
             self._lay()
+        elif self._rival.is_due(self._laid_at[0]):
+            assert self.filter is not None
+            self._rival.lay(self.filter)
+
+    def _see_innovation(self, found: Innovation) -> None:
+        """Take an innovation: some beyond the gate in a row, and the tissue has changed.
+
+        Or it is another one: a grid that is laid anew would take it for an error of the law.
+        """
+        self.innovation = found
+        is_beyond = found.normalized_squared > _GATE**2 and self.is_settled
+        self._beyond = self._beyond + 1 if is_beyond else 0
+        self.is_changed |= self._beyond >= _GATE_BLOCKS
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
@@ -167,9 +211,14 @@ class PlacePosterior:
         if self._press is None:
             return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
         time, depth, blocks = self._laid_at
+        assert self.filter is not None
+        if self._press.middles.size >= _MOST:
+            return True
         if self._blocks - blocks < _ROUND_BLOCKS:
             return False
-        if self.filter is None or self.filter.is_full or not self.filter.grid.is_settled:
+        if self._beyond:
+            return False
+        if not self.filter.grid.is_settled:
             return True
         if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
             return True
@@ -212,21 +261,22 @@ class PlacePosterior:
     def _lay(self, *, most: int = _GATHERED) -> None:
         """Lay one round of the record by now."""
         press = self._press
-        if press is None or press.middles.size > _MOST or most != _GATHERED:
+        if press is None or press.middles.size >= _MOST or most != _GATHERED:
             blocks = self._observed()
             if len(blocks) < _LEAST_BLOCKS:
                 return
-            press = gathered(blocks, self._noise_sd, most)
+            press = gathered(blocks, self.noise_sd, most)
         self._press = press.remembered()
         law = self._law(self._press)
-        noise = Noise(self.setting.noise_sd, self._noise_sd)
+        noise = Noise(self.setting.noise_sd, self.noise_sd)
         if self.filter is None:
             start = begun(law, noise)
         else:
             moments = self._moments()
-            start = continued(law, self.filter.grid, *moments, self.filter.log_evidence)
+            start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
         self.filter = Filter(laid(law, noise, start))
         self._laid_at = self.now - self._began, self.deepest, self._blocks
+        self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def lay_again(self) -> None:
         """Lay a grid of the presses that have ended."""
@@ -246,6 +296,8 @@ class PlacePosterior:
                 self._lay(most=_ENDED if number == 0 else _GATHERED)
                 if self.is_settled:
                     break
+            if self.filter is not None:
+                self._rival.end(self.filter)
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:

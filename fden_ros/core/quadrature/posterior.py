@@ -13,14 +13,16 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation import Component
+from fden_ros.core.estimation import Component, LawError
+from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
+from fden_ros.core.quadrature.discrepancy import CURVE, KERNEL, KERNEL_HATS, splines
 from fden_ros.core.quadrature.filter import Filter
 from fden_ros.core.quadrature.grid import Grid, Stiffness, cholesky, open_of, solved
 
 #: Nodes less likely than the best by this factor do not count [1].
 _LEAST = 1e-4
-#: Components that a mixture is stated in [1], a power of 2.
-_COMPONENTS = 8
+#: Places at which errors of the law are read off; the loaded part of the curve [1].
+_PLACES, _LOADED = 16, 0.7
 #: Steps of theta for its derivatives, over its standard deviation [1].
 _STEP = 0.1
 
@@ -36,6 +38,7 @@ class Posterior:
     rows: Array  #: y of these, whitened, less their mean response, (N, M)
     responses: Array  #: whitened, times G, (N, M)
     known: Array  #: X P, whitened, (N, k)
+    mean_dwell_time: float  #: mean age of the loading [s]
 
     @classmethod
     def of(cls, state: Filter) -> Posterior:
@@ -50,7 +53,7 @@ class Posterior:
         responses = white[:, k + top] * np.exp(stiffness.log_g)
         share = weights[top] / weights[top].sum()
         return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
-                   white[:, heads:k])  # fmt: skip
+                   white[:, heads:k], state.mean_dwell_time)  # fmt: skip
 
     @functools.cached_property
     def moments(self) -> tuple[Array, Array]:
@@ -79,16 +82,16 @@ class Posterior:
         found[:2, :2] += self.grid.law.config.uncertainty.thickness_sd**2
         return found
 
-    @functools.cached_property
-    def components(self) -> tuple[Component, ...]:
-        """At most 8 Gaussians of (ln G, ln Gn, alpha) that reproduce mean and covariance.
+    def components(self, most: int) -> tuple[Component, ...]:
+        """Return at most `most`, a power of 2, Gaussians of (ln G, ln Gn, alpha).
 
-        The nodes are halved by weight along the axis in which they are widest.
+        They reproduce mean and covariance. The nodes are halved by weight along the axis in which
+        they are widest.
         """
         values = self._values[:, self._order[:3]]
         groups: list[Indices] = [np.arange(len(values))]
         unit = np.sqrt(np.maximum(np.diag(self.tissue[1])[:3], 1e-30))
-        while len(groups) < _COMPONENTS:
+        while len(groups) < most:
             groups = [half for group in groups for half in self._halves(values / unit, group)]
             if all(group.size < 2 for group in groups):
                 break
@@ -126,6 +129,46 @@ class Posterior:
     def states(self) -> Array:
         """The unknowns z of each node given all data, (k, M)."""
         return np.asarray(self.known.T @ self.rows)
+
+    def law_error(self, elapsed: float, deepest: float) -> LawError | None:
+        """Return how far the data bend the law; None: it is said to be exact.
+
+        Parameters
+        ----------
+        elapsed : float
+            Since the touch [s].
+        deepest : float
+            Largest indentation [1].
+        """
+        grid, law = self.grid, self.grid.law
+        if not law.config.uncertainty.characteristic_sd:
+            return None
+        state = self.states @ self.weights
+        off = (self.states - state[:, None]) * np.sqrt(self.weights)
+        covariance = grid.covariance.prior(grid.start.scales) - self.known.T @ self.known
+        covariance += off @ off.T
+        mean, _ = self.tissue
+        # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
+        times = np.geomspace(0.03 * elapsed, elapsed, _PLACES)
+        bend, slope = _relaxation_functionals(float(mean[2]), times)
+        strain = max(float(law.strain(np.array([deepest - mean[3]]))[0][0]), 1e-6)
+        strains = np.linspace(0.1 * strain, strain, _PLACES)
+        curve = splines(strains, law.last_knot)
+        sizes = [
+            _root_mean_square(rows @ state[at], rows @ covariance[at, at] @ rows.T)
+            for at, rows in (
+                (KERNEL, bend),
+                (CURVE, curve),
+                (CURVE, curve[strains >= _LOADED * strain]),
+            )
+        ]
+        along = slope @ self.states[KERNEL]
+        order = self.nodes[:, 0] - along
+        middle = float(self.weights @ order)
+        spread = float(self.weights @ (order - middle) ** 2)
+        spread += float(slope @ covariance[KERNEL, KERNEL] @ slope)
+        spread -= float(self.weights @ (along - self.weights @ along) ** 2)
+        return LawError(*sizes[0], *sizes[1], *sizes[2], middle, math.sqrt(max(spread, 0.0)))
 
     @functools.cached_property
     def rig_conflict(self) -> float:
@@ -180,6 +223,22 @@ class Posterior:
         g = math.exp(grid.about.log_g)
         by_theta = (g * (responses[:, 1:] - responses[:, :1]) - shift) / steps.diagonal()
         return np.column_stack([g * responses[:, 0], by_theta])
+
+
+def _relaxation_functionals(order: float, times: Array) -> tuple[Array, Array]:
+    """Return the kernel's error at times less its line in ln t, and the line's slope, by knots."""
+    weights = relaxation_weights(float(np.clip(order, LOWEST_ORDER, HIGHEST_ORDER)))
+    after = weights * left_after(times)
+    errors = (after / after.sum(axis=1, keepdims=True)) @ KERNEL_HATS
+    logs = np.log(times)
+    line = np.column_stack([np.ones(times.size), logs - logs.mean()])
+    fit = np.linalg.pinv(line)
+    return errors - line @ fit @ errors, fit[1] @ errors
+
+
+def _root_mean_square(values: Array, covariance: Array) -> tuple[float, float]:
+    size = math.sqrt(float(np.mean(values**2)))
+    return size, math.sqrt(max(float(np.mean(covariance.diagonal())), 0.0))
 
 
 def _moments(values: Array, weights: Array, variances: Array) -> tuple[Array, Array]:

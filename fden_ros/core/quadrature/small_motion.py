@@ -47,6 +47,10 @@ class SmallMotion:
 
     Attributes
     ----------
+    weight : float
+        Of all its nodes [1].
+    shift : float
+        By which its indentations are larger than those that are asked for [1].
     variance_factor : float
         By which contradictions of the data widen the variances [1].
     unseen : float
@@ -54,6 +58,8 @@ class SmallMotion:
     """
 
     posterior: Posterior
+    weight: float = 1.0
+    shift: float = 0.0
     variance_factor: float = 1.0
     unseen: float = 0.0
     solved: tuple[()] = ()
@@ -79,7 +85,7 @@ class SmallMotion:
         posterior, law = self.posterior, self.posterior.grid.law
         state = posterior.states
         bends = -self._yielding(stress)
-        u = compression - posterior.nodes[:, -1] + bends @ state
+        u = compression + self.shift - posterior.nodes[:, -1] + bends @ state
         values, row = self._of_curve(u, state)
         ahead, _ = self._of_curve(u + _STEP, state)
         row += bends[:, None] * (ahead - values) / _STEP
@@ -93,7 +99,7 @@ class SmallMotion:
         tool = np.exp(values) * (self._yielding(1.0) @ state)
         values = values - np.log(np.maximum(1.0 + tool, 1e-3))
         values -= math.log(law.geometry.stress_per_force * law.geometry.length)
-        return LogStiffnesses(posterior.weights, values, self._variances(row))
+        return LogStiffnesses(self.weight * posterior.weights, values, self._variances(row))
 
     def _yielding(self, stress: float) -> Array:
         """Return what the unknowns take from the indentation at a stress [Pa], (k,) [1]."""
