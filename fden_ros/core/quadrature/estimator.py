@@ -270,7 +270,7 @@ class QuadratureEstimator:
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
             mean_dwell_time=best.posterior.mean_dwell_time,
             law_error=self._law_error_of(best),
-            other_law_probability=self.plateau_probability,
+            plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
             components=_components(parts),
             small_motions=self._small_motions(parts),  # type: ignore[arg-type]
