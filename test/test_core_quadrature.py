@@ -263,7 +263,7 @@ def test_what_is_not_settled_is_not_claimed() -> None:
 
 
 def test_errors_are_as_large_as_their_deviations() -> None:
-    """Of 6 presses of the exact law, rms of the error over the deviation .3 to 1.6; none is 3.5."""
+    """Of 6 presses of the exact law: rms of error over deviation .3 to 1.6, none beyond 3.5."""
     off = []
     for seed in range(6):
         of = estimator()
