@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 from fden_ros.core.estimation.block import Points
 from fden_ros.core.estimation.claims import (
     EDGE,
+    Claims,
     Evidence,
     Reservations,
     claims_of,
     converged,
     determined,
-    probability_beyond,
     reserved,
 )
 from fden_ros.core.estimation.estimate import (
@@ -33,14 +33,13 @@ from fden_ros.core.estimation.estimate import (
 )
 from fden_ros.core.estimation.estimator import Block, Estimator, Innovation
 from fden_ros.core.estimation.estimator_config import (
-    KERNEL_SHARE,
     NOTHING_UNKNOWN,
     EstimatorConfig,
     EstimatorKind,
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.mixture import Component, moments, positive
+from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.parts import ended
 from fden_ros.core.estimation.small_motion import log_stiffness
 from fden_ros.core.estimation.smooth_errors import kernel_change
@@ -51,13 +50,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EDGE",
-    "KERNEL_SHARE",
     "KEYS",
     "NOTHING_UNKNOWN",
     "NO_CHANCE",
     "PUBLISHED",
     "Block",
     "Budget",
+    "Claims",
     "Component",
     "Estimate",
     "Estimator",
@@ -80,8 +79,6 @@ __all__ = [
     "kernel_change",
     "log_stiffness",
     "moments",
-    "positive",
-    "probability_beyond",
     "reserved",
 ]
 

@@ -18,14 +18,17 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
+    Claims,
     Component,
     Estimate,
     EstimatorConfig,
+    Evidence,
     LawError,
     ParameterSet,
+    claims_of,
+    converged,
     moments,
 )
-from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.law import Geometry
 from fden_ros.core.quadrature.filter import Innovation
 from fden_ros.core.quadrature.grid import Grid
