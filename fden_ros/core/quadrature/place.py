@@ -23,7 +23,7 @@ from fden_ros.core.law import Geometry
 from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered, moments_of
 from fden_ros.core.quadrature.covariance import Noise
 from fden_ros.core.quadrature.filter import Filter, Innovation
-from fden_ros.core.quadrature.grid import begun, continued, laid
+from fden_ros.core.quadrature.grid import Grid, begun, continued, laid, log_evidence_of, solve
 from fden_ros.core.quadrature.law import Law
 from fden_ros.core.quadrature.nuisance import rig_of
 from fden_ros.core.quadrature.posterior import Posterior
@@ -43,6 +43,10 @@ _PRESSES = 3
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
 _LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: A grid is laid from nothing too where the time of a press has grown by this factor since the
+#: last [1], and at its end: scales that were small are left only where the columns are those of
+#: larger ones, and the log evidence was up to 15 lower.
+_ANEW = 2.0
 #: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
 _GATE, _GATE_BLOCKS = 4.0, 3
 #: The probe holds below this part of its largest speed [1].
@@ -100,7 +104,7 @@ class PlacePosterior:
         self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
         self._fastest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond = 0
+        self._beyond, self._anew_at = 0, 0.0
         self._rival = Rival()
 
     @property
@@ -147,7 +151,7 @@ class PlacePosterior:
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest, self._beyond = 0.0, 0
+        self._fastest, self._beyond, self._anew_at = 0.0, 0, 0.0
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -274,7 +278,12 @@ class PlacePosterior:
         else:
             moments = self._moments()
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
-        self.filter = Filter(laid(law, noise, start))
+        grid = laid(law, noise, start)
+        elapsed = self.now - self._began
+        if most != _GATHERED or (self.has_slowed and elapsed > _ANEW * self._anew_at):
+            self._anew_at = elapsed
+            grid = _likelier(grid, solve(law, noise))
+        self.filter = Filter(grid)
         self._laid_at = self.now - self._began, self.deepest, self._blocks
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
@@ -314,3 +323,11 @@ class PlacePosterior:
     def posterior(self) -> Posterior | None:
         """Return the posterior by now; None: there is none."""
         return Posterior.of(self.filter) if self.filter is not None else None
+
+
+def _likelier(one: Grid, other: Grid) -> Grid:
+    """Return the likelier of two grids of one record; one that is not settled is not taken."""
+    if not other.is_settled:
+        return one
+    logs = [log_evidence_of(g.law, g.stiffness.log + g.log_prior) for g in (one, other)]
+    return other if logs[1] > logs[0] or not one.is_settled else one
