@@ -144,8 +144,8 @@ class PlacePosterior:
         """Begin a press at a time [s]."""
         setting, geometry = self.setting, self.setting.geometry
         reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
-        is_at_rest = geometry.is_one_sided and not self._ended
-        self._record = Record(self.noise_sd, reach, is_at_rest=is_at_rest)
+        # In a later press too, so that records of one touch have the same cells.
+        self._record = Record(self.noise_sd, reach, is_at_rest=geometry.is_one_sided)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self.now = touch, None, now
