@@ -459,6 +459,7 @@ class PaperFilter(Estimator):
         mean = found.weights @ values
         off = values - mean
         covariance = (off * found.weights[:, None]).T @ off
+        covariance = 0.5 * (covariance + covariance.T)
         covariance[0, 0] += found.weights @ found.log_g_variance
         covariance[:2, :2] += config.uncertainty.thickness_sd**2
         deviations = np.sqrt(covariance.diagonal())
