@@ -25,12 +25,14 @@ again on it.
 the past of a node is one number a rate.
 
 Law errors, compliance and delay are not modelled: they raise chi squared, and above
-:data:`MOST_CHI_SQUARED` nothing is claimed.
+:data:`MOST_CHI_SQUARED` nothing is claimed. Those below the noise do not show, so nothing is
+claimed either unless law and rig are stated to be exact, but for the thickness.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,6 +40,7 @@ from filterpy.kalman import InformationFilter
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
+    NOTHING_UNKNOWN,
     Block,
     Estimate,
     Estimator,
@@ -254,6 +257,7 @@ class PaperFilter(Estimator):
         path_variance: float = 0.0,
     ) -> None:
         prior = config.prior
+        self._is_exact = replace(config.uncertainty, thickness_sd=0.0) == NOTHING_UNKNOWN
         self._config, self._geometry = config, geometry
         self._noise_variance, self._path_variance = noise_sd**2, path_variance
         log_g, log_gn, order = prior.mean.tolist()
@@ -465,7 +469,8 @@ class PaperFilter(Estimator):
         deviations = np.sqrt(covariance.diagonal())
         strains = grid.strains(np.array(self._deepest))
         beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
-        is_sound = self._is_settled and self._contact_count < 2 and not self._is_refused
+        is_first = self._contact_count < 2
+        is_sound = self._is_exact and self._is_settled and is_first and not self._is_refused
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),
