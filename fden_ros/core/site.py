@@ -41,12 +41,12 @@ _DIP_TIME = 0.5
 #: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
-#: The tissue has changed where the innovation of a block is beyond so many of its standard
-#: deviations and this part of the stress [1], up to so many blocks behind one that was explained.
-#: Presses of tissue that does not change reach 15 deviations and 2 %, or 9 deviations and 11 %,
-#: where the filter is linear about a solution of less depth. A slide onto tissue that is 1.3 times
-#: as stiff reaches 17 deviations and 9 % at 100 Hz, an inclusion more.
-_GATE_DEVIATIONS, _GATE_PART, _GATE_BLOCKS = 16.0, 0.04, 4
+#: The tissue has changed where the innovations of so many blocks in a row add up to more than so
+#: many standard deviations of their sum, and that of the newest is beyond so many of its own and
+#: this part of the stress [1]. Presses of tissue that does not change reach 15 deviations and 2 %,
+#: or 9 deviations and 11 %, where the filter is linear about a solution of less depth. A slide
+#: onto tissue that is 1.3 times as stiff reaches 17 and 9 % at 100 Hz, an inclusion more.
+_GATE_BLOCKS, _GATE_SUM, _GATE_NEWEST, _GATE_PART = 4, 13.0, 16.0, 0.04
 
 
 class Learned(NamedTuple):
@@ -81,7 +81,7 @@ class Site(Standing):
         self._memory = StressMemory()
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
-        self._explained: deque[bool] = deque(maxlen=_GATE_BLOCKS)
+        self._recent: deque[tuple[float, bool]] = deque(maxlen=_GATE_BLOCKS)
 
     @property
     def is_doubtful(self) -> bool:
@@ -163,7 +163,7 @@ class Site(Standing):
                 before.may_go_on_as(new, onset, self)
             self._estimator = new
         self._rest_until(first.stamp_ns)
-        self._explained.clear()
+        self._recent.clear()
         self._memory.begin_block()
         if self._estimator is not None:
             times, way, forces = onset.way
@@ -263,16 +263,17 @@ class Site(Standing):
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
     def _gate(self, innovation: Innovation, *, was_explained: bool) -> None:
-        """Withdraw where a block is none of the tissue that was touched.
+        """Withdraw where a few blocks in a row are none of the tissue that was touched.
 
         `was_explained`: the block before was. An estimator that is still looking has large
-        innovations, so one that was has to come shortly before.
+        innovations, so the first of them has to follow one that was.
         """
-        self._explained.append(was_explained)
-        off = abs(innovation.innovation)
+        recent, off = self._recent, abs(innovation.innovation)
+        recent.append((innovation.innovation / math.sqrt(innovation.variance), was_explained))
+        together = abs(sum(deviations for deviations, _ in recent)) / math.sqrt(_GATE_BLOCKS)
         stress = abs(innovation.predicted_stress + innovation.innovation)
-        is_beyond = off > _GATE_DEVIATIONS * math.sqrt(innovation.variance)
-        if self._explained[0] and is_beyond and off > _GATE_PART * stress:
+        is_beyond = abs(recent[-1][0]) > _GATE_NEWEST and off > _GATE_PART * stress
+        if recent[0][1] and together > _GATE_SUM and is_beyond:
             self.withdraw(Flag.TISSUE_CHANGED)
 
     def fail(self) -> None:
