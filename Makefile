@@ -13,7 +13,7 @@ help:
 	@echo "make live    simulator, node, controller and monitor together, until Ctrl-C"
 	@echo "make test    lint, then every test but statistics, on the same examples each time"
 	@echo "make statistics  statistical claims at their full counts"
-	@echo "make figures the tables of docs/figures.md, measured anew: hours (FIGURES_ARGS=--quick: minutes)"
+	@echo "make figures the tables of docs/accuracy.md, measured anew: hours (FIGURES_ARGS=--quick: minutes)"
 	@echo "make search  property tests on new examples for SEARCH_TIME seconds (3600)"
 	@echo "make lint    ruff and mypy"
 	@echo "make wheel   wheels and a source archive in dist/, tried in a new environment"

@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
 from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
-from benchmark.score import NAMES, TWO_SIDED_95, mean_of, rms, share
+from benchmark.score import NAMES, TWO_SIDED_95, Share, mean_of, rms, share
 from fden_ros.control import Prediction, Predictor, TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import Estimate, StateIndex
 from fden_ros.core.outputs import ContactSummary, Flag
+from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 
 EPILOG = """\
@@ -104,20 +105,27 @@ def run(args: argparse.Namespace) -> Report:
     if args.quick:
         tests = some_of(tests, _QUICK_TESTS)
     found = measured(predict, [(test,) for test in tests], what="measured tests")
-    groups: dict[str, list[Outcome]] = {}
-    for outcome in found:
-        kind, day = outcome.test.kind, outcome.test.name.rpartition("/")[0]
+    groups: dict[str, list[Outcome | None]] = {}
+    for test, outcome in zip(tests, found, strict=True):
+        kind, day = test.kind, test.name.rpartition("/")[0]
         for name in dict.fromkeys((kind, f"{kind}, {day}" if day else kind)):
             groups.setdefault(name, []).append(outcome)
-    rows = {name: row_of(groups[name]) for name in sorted(groups)}
+    rows = {}
+    for name in sorted(groups):
+        given = [outcome for outcome in groups[name] if outcome is not None]
+        if given:
+            rows[name] = {"given": Share(len(given), len(groups[name]))} | row_of(given)
     tables = {"materials": Table("The rest of the hold, from the ramp and 2 s", rows)}
     return Report(_goals(rows), tables)
 
 
-def predict(test: Test) -> Outcome:
-    """Return what is predicted from what is seen of a test, beside what the whole of it says."""
-    whole, _, summary = identify(test)
-    short, prediction = foretell(test)
+def predict(test: Test) -> Outcome | None:
+    """Return what is predicted from what is seen of a test; None: nothing is known of it."""
+    try:
+        whole, _, summary = identify(test)
+        short, prediction = foretell(test)
+    except InputError:
+        return None
     return Outcome(test, prediction.value, prediction.sd, short, whole, summary, hold_order(test))
 
 

@@ -219,12 +219,13 @@ def fit(
     # 0 stands for "no stamp".
     shift = int(_NS) - int(stamps[0]) if stamps[0] <= 0 else 0
     found = replay_source(ArraySource(stamps + shift, forces, displacements, checked))
+    geometry_used = pipeline_config(checked).geometry
     contacts = []
     for one in found.summaries:
         own = (stamps + shift >= one.start_ns) & (stamps + shift <= one.end_ns)
         start, end = ((ns - shift) / _NS for ns in (one.start_ns, one.end_ns))
         samples = times[own], forces[own], displacements[own]
-        contacts.append(FittedContact(start, end, one, samples, pipeline_config(checked).geometry))
+        contacts.append(FittedContact(start, end, one, samples, geometry_used))
     return Fit(tuple(contacts), found.warnings)
 
 

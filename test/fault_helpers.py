@@ -29,6 +29,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.stiffness import MeasuredSlope
 from fden_ros.core.streams import NANOSECONDS
 from simulation.scenario import DisplacementSensor, Scenario, Site, Tissue, ramp_scenario
 from simulation.simulate import Recording, simulate
@@ -197,6 +198,9 @@ def numbers_of(value: object) -> Iterator[float]:
         # Where the law has no error it is not known how probable another is. The nodes are not
         # published.
         value = tuple(value._replace(plateau_probability=0.0, small_motions=()))
+    if isinstance(value, MeasuredSlope):
+        # Where no surface was seen there is no depth below it.
+        value = tuple(value._replace(depth=0.0))
     if isinstance(value, np.ndarray):
         yield from value.ravel().tolist()
     elif isinstance(value, float):

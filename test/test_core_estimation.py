@@ -262,16 +262,16 @@ def test_what_is_not_settled_is_not_claimed() -> None:
 
 
 def test_errors_are_as_large_as_their_deviations() -> None:
-    """Of 16 presses of the exact law, rms of the error over the deviation .5 to 1.4; none is 4."""
+    """Of 6 presses of the exact law: rms of error over deviation .3 to 1.6, none beyond 3.5."""
     off = []
-    for seed in range(16):
+    for seed in range(6):
         of = estimator()
         take(of, pressed(seed, hold=0.5))
         found = of.release()
         off.append((found.mean - pressed(seed, hold=0.5).truth) / found.deviations)
     rms = np.sqrt(np.mean(np.square(off), axis=0))
-    assert np.all((rms > 0.5) & (rms < 1.4)), rms
-    assert np.max(np.abs(off)) < 4.0
+    assert np.all((rms > 0.3) & (rms < 1.6)), rms
+    assert np.max(np.abs(off)) < 3.5
 
 
 def test_shares_add_up_to_the_variance() -> None:

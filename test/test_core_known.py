@@ -192,7 +192,7 @@ def test_what_lies_at_an_end_of_its_prior_is_said_and_nothing_is_known():
     assert estimate.at_edge == G and estimate.known == ParameterSet.NONE
     assert "at prior limit" in status_words(summary)
     said = " ".join(remarks(summary, CONFIG))
-    assert "an end of the range of G" in said and "prior knowledge" not in said
+    assert "a limit of its prior" in said and "prior knowledge" not in said
     for state in states_of(pressed(BEYOND, stated=stated)):
         assert state.estimate is not None
         assert bool(state.estimate.at_edge) == bool(state.flags & Flag.AT_PRIOR_LIMIT)

@@ -21,6 +21,7 @@ from fden_ros.core.paper_filter import PaperFilter, _Bank, _Grid, _step
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
+from simulation.simulate import EXACT
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 STEP, SIZE = 1e-3, 10
@@ -196,7 +197,7 @@ def test_a_later_contact_of_a_place_claims_nothing():
 @pytest.mark.parametrize("parameters", [{}, {"prior.alpha": 0.131, "prior.alpha_sd": 0.0}])
 def test_the_example_gives_its_tissue(parameters):
     probe = {"geometry.kind": "flat_punch", "geometry.area": 3.14e-4, "geometry.thickness": 0.02}
-    own = check(probe | {"estimator.kind": "ekf"} | parameters)
+    own = check(probe | EXACT | {"estimator.kind": "ekf"} | parameters)
     outputs = []
     pipeline = Pipeline(pipeline_config(own), outputs.append)
     for time, force, depth in np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1):
@@ -208,3 +209,16 @@ def test_the_example_gives_its_tissue(parameters):
     for (g, gn), estimate in zip(truth, found, strict=True):
         off = estimate.mean[:2] - np.log([g, gn])
         assert np.abs(off / estimate.deviations[:2]).max() < 3.0
+
+
+def test_nothing_is_claimed_where_law_and_rig_are_not_stated_to_be_exact():
+    probe = {"geometry.kind": "flat_punch", "geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    outputs = []
+    own = check(probe | {"estimator.kind": "ekf"})
+    pipeline = Pipeline(pipeline_config(own), outputs.append)
+    for time, force, depth in np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1):
+        pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)
+        pipeline.add_force(round(1e9 * (1 + time)), force)
+    pipeline.finish()
+    known = [o.estimate.known for o in outputs if getattr(o, "estimate", None) is not None]
+    assert known and not any(known)

@@ -77,7 +77,8 @@ def recorded(**disturbances):
 
 
 def test_contact_in_which_the_force_crept_is_flagged_and_widened():
-    items, parameters = recorded(creep_n=0.03)
+    # With more, the tissue seems to have changed, and nothing is known to be widened.
+    items, parameters = recorded(creep_n=0.005)
     first, last = summaries_of(identified(items, parameters)[1])
     assert not first.flags & Flag.FORCE_DRIFTED
     assert last.flags & Flag.FORCE_DRIFTED

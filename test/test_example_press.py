@@ -64,7 +64,9 @@ def test_a_prior_that_excludes_the_tissue_is_reported_and_nothing_converges():
 
 @pytest.mark.parametrize("delay", [-0.01, 0.01, *first(0.02, -0.02, -0.0025)])
 def test_a_wrong_delay_gives_no_wrong_number_under_a_good_status(delay):
-    outputs = outputs_of({"displacement.delay": delay})
+    wrong = {"displacement.delay": delay}
+    # Beyond what delay_sd allows for, the summaries alone.
+    outputs = outputs_of(wrong) if abs(delay) <= 0.01 else summaries(wrong)
     claims = [
         (output.site_id, output.estimate)
         for output in outputs

@@ -359,7 +359,7 @@ ROWS = [
     # sensors
     Row("force_saturated", clipped(0.04), good_from=12.0, lies=3),
     Row("force_stuck", stuck(9.8, 10.6, FORCE), good_from=10.6),
-    Row("displacement_stuck", stuck(9.8, 10.3, DISPLACEMENT)),
+    Row("displacement_stuck", stuck(9.8, 10.3, DISPLACEMENT), lies=4),
     Row("force_drift", drift(0.0, 99.0, 0.002)),
     Row("drift_begins_in_contact", drift(10.0, 13.0, 0.01), lies=23),
     Row("tare_in_air", called(lambda p: p.tare(), 8.0)),

@@ -156,8 +156,11 @@ def other_value(parameter):
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.name)
 def test_a_name_sets_the_one_field_that_declares_it(parameter):
     value = other_value(parameter)
-    changed = check({parameter.name: value}).as_dict()
-    assert changed == Parameters().as_dict() | {parameter.name: value} != Parameters().as_dict()
+    # A kind of geometry is refused without its size.
+    size = {"geometry.radius": 0.01} if parameter.name == "geometry.kind" else {}
+    changed = check({parameter.name: value, **size}).as_dict()
+    usual = Parameters().as_dict()
+    assert changed == usual | {parameter.name: value, **size} != usual
 
 
 @pytest.mark.parametrize(
@@ -189,6 +192,8 @@ QUARTER = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # about x: z of the sensor
                 "tool.gravity": [0.0, 0.0, -10.0],
                 "tool.centre_of_mass": [0.1, 0.0, 0.0],
                 "geometry.kind": "torsional_rheometer",
+                "geometry.radius": 0.01,
+                "geometry.thickness": 0.002,
             },
             -0.2,
         ),
@@ -399,7 +404,9 @@ class Heard:
 
     @property
     def error(self) -> float:
-        """Of ln G at the end."""
+        """Of ln G at the end; infinite without an estimate."""
+        if self.summary.estimate is None:
+            return math.inf
         return abs(float(self.summary.estimate.mean[0]) - np.log(520.0))
 
 

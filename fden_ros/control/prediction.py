@@ -51,6 +51,10 @@ _POINTS = 40
 _DERIVATIVE_PART = 0.1
 #: Least elastic response, by its slope at small strain, whose relative change counts [1].
 _LEAST_RESPONSE = 1e-3
+#: The law alone does not know where the relaxation leaves it: its relative deviation is this
+#: multiple of the stated one [1]. At the end of a ramp a linear solid of 1 s looks like the law of
+#: a wrong alpha.
+_LAW_ALONE = 2.0
 #: Least age of a loading [s]: that of one block.
 _LEAST_AGE = 0.01
 
@@ -231,7 +235,8 @@ class Predictor:
         The data so far may widen what is stated, not shrink it.
         """
         found = self.estimate.law_error
-        return max(self.uncertainty.kernel_sd, found.kernel if found is not None else 0.0)
+        stated = _LAW_ALONE * self.uncertainty.kernel_sd
+        return max(stated, found.kernel if found is not None else 0.0)
 
 
 def _log_ageing(response: Array, steps: Array, age: float) -> Array:

@@ -25,13 +25,15 @@ again on it.
 the past of a node is one number a rate.
 
 Law errors, compliance and delay are not modelled: they raise chi squared, and above
-:data:`MOST_CHI_SQUARED` nothing is claimed.
+:data:`MOST_CHI_SQUARED` nothing is claimed. Those below the noise do not show, so nothing is
+claimed either unless law and rig are stated to be exact, but for the thickness.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +41,7 @@ from filterpy.kalman import InformationFilter
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
+    NOTHING_UNKNOWN,
     CellInnovation,
     Estimate,
     Estimator,
@@ -47,13 +50,14 @@ from fden_ros.core.estimation import (
     Touch,
     claims_of,
 )
-from fden_ros.core.law import Geometry, phi
-from fden_ros.core.law.relaxation import (
+from fden_ros.core.law import (
     HIGHEST_ORDER,
     LOWEST_ORDER,
     RATE_COUNT,
     RATES,
     SHORTEST_STEP,
+    Geometry,
+    phi,
     relaxation_weights,
 )
 
@@ -254,6 +258,7 @@ class PaperFilter(Estimator):
         path_variance: float = 0.0,
     ) -> None:
         prior = config.prior
+        self._is_exact = replace(config.uncertainty, thickness_sd=0.0) == NOTHING_UNKNOWN
         self._config, self._geometry = config, geometry
         self._noise_variance, self._path_variance = noise_sd**2, path_variance
         log_g, log_gn, order = prior.mean.tolist()
@@ -461,12 +466,14 @@ class PaperFilter(Estimator):
         mean = found.weights @ values
         off = values - mean
         covariance = (off * found.weights[:, None]).T @ off
+        covariance = 0.5 * (covariance + covariance.T)
         covariance[0, 0] += found.weights @ found.log_g_variance
         covariance[:2, :2] += config.uncertainty.thickness_sd**2
         deviations = np.sqrt(covariance.diagonal())
         strains = grid.strains(np.array(self._deepest))
         beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
-        is_sound = self._is_settled and self._contact_count < 2 and not self._is_refused
+        is_first = self._contact_count < 2
+        is_sound = self._is_exact and self._is_settled and is_first and not self._is_refused
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),

@@ -39,7 +39,6 @@ from fden_ros.parameters.pipeline import (
 from fden_ros.parameters.table import (
     NODE_PARAMETERS,
     PARAMETERS,
-    NodeSettings,
     Parameters,
     check,
     identifier_values,
@@ -54,7 +53,6 @@ __all__ = [
     "PARAMETERS",
     "PLACES",
     "MessageKind",
-    "NodeSettings",
     "Parameter",
     "Parameters",
     "Section",

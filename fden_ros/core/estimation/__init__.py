@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from fden_ros.core.estimation.claims import (
     EDGE,
+    Claims,
     Evidence,
     Reservations,
     claims_of,
@@ -51,6 +52,7 @@ __all__ = [
     "PUBLISHED",
     "Budget",
     "CellInnovation",
+    "Claims",
     "Component",
     "Estimate",
     "Estimator",

@@ -164,8 +164,8 @@ class EstimatorConfig:
     kind: EstimatorKind = parameter(
         "estimator.kind",
         EstimatorKind.GRID,
-        "The estimator: grid models the errors of law and rig; ekf is the paper's recursion, for "
-        "a stiff bench with an accurate law.",
+        "The estimator: grid models the errors of law and rig; ekf is the paper's recursion. It "
+        "converges only where law and rig are stated to be exact.",
     )
     learns_fractional_order: bool = parameter(
         "alpha.learn",

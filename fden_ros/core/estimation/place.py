@@ -22,7 +22,7 @@ from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.face import CellInnovation, Touch
 from fden_ros.core.estimation.filter import Filter
-from fden_ros.core.estimation.grid import begun, continued, laid
+from fden_ros.core.estimation.grid import Grid, begun, continued, laid, log_evidence_of, solve
 from fden_ros.core.estimation.law import Law
 from fden_ros.core.estimation.nuisance import rig_of
 from fden_ros.core.estimation.posterior import Posterior
@@ -43,6 +43,10 @@ _PRESSES = 3
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
 _LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: A grid is laid from nothing too where the time of a press has grown by this factor since the
+#: last [1], and at its end: scales that were small are left only where the columns are those of
+#: larger ones, and the log evidence was up to 15 lower.
+_ANEW = 2.0
 #: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
 _GATE, _GATE_BLOCKS = 4.0, 3
 #: The probe holds below this part of its largest speed [1].
@@ -90,7 +94,7 @@ class PlacePosterior:
         self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
         self._fastest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond = 0
+        self._beyond, self._anew_at = 0, 0.0
         self._rival = Rival()
 
     @property
@@ -135,14 +139,14 @@ class PlacePosterior:
         """Begin a press at a time [s]."""
         setting, geometry = self.setting, self.setting.geometry
         reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
-        is_at_rest = geometry.is_one_sided and not self._ended
-        self._record = Record(self.noise_sd, reach, is_at_rest=is_at_rest)
+        # In a later press too, so that records of one touch have the same cells.
+        self._record = Record(self.noise_sd, reach, is_at_rest=geometry.is_one_sided)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest, self._beyond = 0.0, 0
+        self._fastest, self._beyond, self._anew_at = 0.0, 0, 0.0
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -269,7 +273,12 @@ class PlacePosterior:
         else:
             moments = self._moments()
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
-        self.filter = Filter(laid(law, noise, start))
+        grid = laid(law, noise, start)
+        elapsed = self.now - self._began
+        if most != _GATHERED or (self.has_slowed and elapsed > _ANEW * self._anew_at):
+            self._anew_at = elapsed
+            grid = _likelier(grid, solve(law, noise))
+        self.filter = Filter(grid)
         self._laid_at = self.now - self._began, self.deepest, self._blocks
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
@@ -309,3 +318,11 @@ class PlacePosterior:
     def posterior(self) -> Posterior | None:
         """Return the posterior by now; None: there is none."""
         return Posterior.of(self.filter) if self.filter is not None else None
+
+
+def _likelier(one: Grid, other: Grid) -> Grid:
+    """Return the likelier of two grids of one record; one that is not settled is not taken."""
+    if not other.is_settled:
+        return one
+    logs = [log_evidence_of(g.law, g.stiffness.log + g.log_prior) for g in (one, other)]
+    return other if logs[1] > logs[0] or not one.is_settled else one

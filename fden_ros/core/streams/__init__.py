@@ -16,10 +16,7 @@ from fden_ros.core.streams.rotation import (
     Quaternion,
     Transform,
     Vector,
-    by_rotation_vector,
-    conjugate,
     normalised,
-    rotate,
 )
 from fden_ros.core.streams.samples import (
     NANOSECONDS,
@@ -52,11 +49,8 @@ __all__ = [
     "ToolWeight",
     "Transform",
     "Vector",
-    "by_rotation_vector",
     "chain_up",
-    "conjugate",
     "force_at_limit",
     "lateral_distance",
     "normalised",
-    "rotate",
 ]
