@@ -50,6 +50,8 @@ FORCE_NOISE = 1e-3
 PRIOR_STIFFNESS = 1e-4 * Prior().linear_stiffness
 #: The hold begins where the probe is this close to its deepest point [m].
 _AT_HOLD = 1e-5
+#: Points of a motion to come.
+_POINTS = 40
 _LEAST_ORDER, _MOST_ORDER = 0.005, 0.9
 
 
@@ -176,20 +178,57 @@ def identify(
     InputError
         If the pipeline finds no contact that it can use.
     """
+    pipeline, outputs = _fed(test, count, parameters)
+    state = _newest(test, outputs)
+    pipeline.finish()
+    summaries = [output for output in outputs if isinstance(output, ContactSummary)]
+    assert state.estimate is not None
+    return state.estimate, state, summaries[-1] if summaries else None
+
+
+def foretell(test: Test) -> tuple[Estimate, Array, Array]:
+    """Identify from what is seen of a test; return also the force of the rest of its motion.
+
+    As mean and standard deviation [N], shape (m,) each.
+
+    Raises
+    ------
+    InputError
+        If nothing is known of the tissue by then.
+    """
+    seen = test.seen
+    pipeline, outputs = _fed(test, seen, None)
+    estimate = _newest(test, outputs).estimate
+    times = test.times[seen:] - test.times[seen - 1]
+    # The motion is a line between some points.
+    points = np.union1d(np.linspace(0.0, times[-1], _POINTS + 1)[1:], times[[0]])
+    before, after = test.times[seen - 1] + points, test.displacements
+    found = pipeline.force_ahead(points, np.interp(before, test.times, after))
+    if found is None or estimate is None:
+        raise InputError(f"{test.name}: nothing is known of the tissue after 2 s of the hold")
+    mean, sd = (np.interp(times, points, values) for values in found)
+    return estimate, mean, sd
+
+
+def _fed(
+    test: Test, count: int | None, parameters: Mapping[str, Any] | None
+) -> tuple[Pipeline, list[Output]]:
     outputs: list[Output] = []
     pipeline = Pipeline(
         pipeline_config(check(test.parameters | dict(parameters or {}))), outputs.append
     )
     for _ in fed(pipeline, test.times[:count], test.forces[:count], test.displacements[:count]):
         pass
+    return pipeline, outputs
+
+
+def _newest(test: Test, outputs: Sequence[Output]) -> TissueState:
     states = [output for output in outputs if isinstance(output, TissueState)]
     if not states or states[-1].estimate is None:
         raise InputError(
             f"{test.name}: no estimate; the displacement must begin at 0, in contact or before it"
         )
-    pipeline.finish()
-    summaries = [output for output in outputs if isinstance(output, ContactSummary)]
-    return states[-1].estimate, states[-1], summaries[-1] if summaries else None
+    return states[-1]
 
 
 def hold_order(test: Test) -> float:

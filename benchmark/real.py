@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,14 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured, within
-from benchmark.measured import FORCE_NOISE, Test, hold_order, identify, read_tests, some_of
+from benchmark.measured import Test, foretell, hold_order, identify, read_tests, some_of
 from benchmark.score import NAMES, TWO_SIDED_95, Share, mean_of, rms, share
-from fden_ros.control import Prediction, Predictor, TissueMemory
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import Estimate, StateIndex
 from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, pipeline_config
 
 EPILOG = """\
 examples:
@@ -123,33 +121,10 @@ def predict(test: Test) -> Outcome | None:
     """Return what is predicted from what is seen of a test; None: nothing is known of it."""
     try:
         whole, _, summary = identify(test)
-        short, prediction = foretell(test)
+        short, mean, sd = foretell(test)
     except InputError:
         return None
-    return Outcome(test, prediction.value, prediction.sd, short, whole, summary, hold_order(test))
-
-
-def foretell(
-    test: Test, parameters: Mapping[str, Any] | None = None
-) -> tuple[Estimate, Prediction]:
-    """Identify from what is seen of a test, and predict the force of the rest of its motion."""
-    own = dict(parameters or {})
-    seen, config = test.seen, pipeline_config(check(test.parameters | own))
-    short, state, _ = identify(test, seen, own)
-    memory = TissueMemory()
-    strains = test.displacements[:seen] / test.thickness - short.contact_point
-    steps = np.diff(test.times[:seen])
-    for step, strain, force in zip(steps, strains[1:], test.forces[1:seen], strict=True):
-        memory.press(float(step), float(strain), float(force))
-    predictor = Predictor(
-        config.geometry,
-        short,
-        memory,
-        state.innovation.variance if state.innovation is not None else FORCE_NOISE**2,
-        config.estimator.uncertainty,
-    )
-    plan = test.displacements[seen:] - test.displacements[seen - 1]
-    return short, predictor.force(test.times[seen:] - test.times[seen - 1], plan)
+    return Outcome(test, mean, sd, short, whole, summary, hold_order(test))
 
 
 def row_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -23,8 +23,7 @@ digest() { sha256sum | cut -c 1-16; }
 # What each step of the set-up depends on. The folder counts: scripts of a virtual environment hold its path.
 base_key() { (cd "$root" && { echo "$route $root $1"; cat scripts/setup scripts/*.py requirements/lock.txt; } | digest); }
 messages_key() { (cd "$root" && { base_key "$1"; find msg_defs -type f | sort | xargs cat; find msg_defs | sort; } | digest); }
-# The compiled part counts by its date, by which a build of it is told from its source.
-project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg package.xml; ls config launch bags; stat -c %Y ; } | digest); }
+project_key() { (cd "$root" && { base_key "$1"; cat setup.py setup.cfg package.xml; ls config launch bags; } | digest); }
 
 is_current() { # STEP KEY
     [[ -r $stamps/$1 && $(<"$stamps/$1") == "$2" ]]

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
 from fden_ros.core.contact import ContactDetector, Onset, Release
@@ -115,6 +116,11 @@ class ContactSession:
     def never_lifts(self) -> bool:
         """Whether the probe palpates without lifting, so that its contacts are none."""
         return self._strokes.prevails
+
+    def force_ahead(self, times: Array, displacements: Array) -> tuple[Array, Array] | None:
+        """Return the force of a motion to come, as :meth:`~.site.Site.force_ahead` does."""
+        site = self._sites.present if self.in_contact else None
+        return site.force_ahead(times, displacements) if site is not None else None
 
     def zero(self) -> float | str:
         """Measure the force in the air anew; return what it was [N], or why it is not known."""

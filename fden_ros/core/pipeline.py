@@ -16,6 +16,7 @@ from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
 
+from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
@@ -112,6 +113,24 @@ class Pipeline:
     def in_contact(self) -> bool:
         """Whether the probe presses."""
         return self._session.in_contact
+
+    def force_ahead(self, times: Array, displacements: Array) -> tuple[Array, Array] | None:
+        """Return mean and standard deviation [N] of the force of a motion to come, (n,) each.
+
+        Given the data, with the errors of law and rig (kriging). None: the probe is not in
+        contact, or nothing is known of the tissue.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,)
+            From the newest sample [s], increasing.
+        displacements : ndarray, shape (n,)
+            As they would be measured [m].
+        """
+        session = self._session
+        if isinstance(session, ContinuousSession):
+            return None
+        return session.force_ahead(times, displacements)
 
     @property
     def measured_unseen(self) -> Slopes:

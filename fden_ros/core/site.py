@@ -25,6 +25,7 @@ from fden_ros.core.estimation import (
     Reservations,
     Touch,
     reserved,
+    stress_ahead,
 )
 from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
 from fden_ros.core.lift_off import KnownTissue, LiftOff
@@ -258,6 +259,16 @@ class Site(Standing):
             if not is_silent or self.estimate is None:
                 self.find(_checked(estimate))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
+
+    def force_ahead(self, times: Array, displacements: Array) -> tuple[Array, Array] | None:
+        """Return mean and deviation of the force of a motion to come; None: it is not known."""
+        estimate, geometry = self.live_estimate, self._config.geometry
+        if estimate is None or not estimate.small_motions:
+            return None
+        indentations = (displacements - self.origin) / geometry.length
+        mean, variance = stress_ahead(estimate.small_motions, times, indentations)
+        scale = geometry.stress_per_force
+        return np.maximum(mean, 0.0) / scale, np.sqrt(variance) / scale
 
     def fail(self) -> None:
         """Say nothing any more, after an exception."""

@@ -43,7 +43,7 @@ from fden_ros.core.estimation.mixture import Component, moments
 if TYPE_CHECKING:
     from fden_ros.core.estimation.discrepancy import kernel_change
     from fden_ros.core.estimation.estimator import GridEstimator
-    from fden_ros.core.estimation.small_motion import log_stiffness
+    from fden_ros.core.estimation.small_motion import log_stiffness, stress_ahead
 
 __all__ = [
     "EDGE",
@@ -75,12 +75,14 @@ __all__ = [
     "log_stiffness",
     "moments",
     "reserved",
+    "stress_ahead",
 ]
 
 _LATER = {
     "GridEstimator": "estimator",
     "kernel_change": "discrepancy",
     "log_stiffness": "small_motion",
+    "stress_ahead": "small_motion",
 }
 
 if not TYPE_CHECKING:

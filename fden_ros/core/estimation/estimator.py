@@ -295,7 +295,7 @@ class GridEstimator(Estimator):
             known=known,
             at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
-            mean_dwell_time=best.posterior.mean_dwell_time,
+            mean_dwell_time=best.posterior.state.mean_dwell_time,
             law_error=self._law_error_of(best),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
@@ -319,7 +319,7 @@ class GridEstimator(Estimator):
             is_seen = part.place.has_slowed or part.place.presses > 1
             unseen = 0.0 if is_seen else sd**2
             shift = shifts[id(part.place)]
-            found.append(SmallMotion(part.posterior, part.weight, shift, unseen=unseen))
+            found.append(SmallMotion(part.posterior, self._now, part.weight, shift, unseen=unseen))
         return tuple(found)
 
 
@@ -341,8 +341,8 @@ def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
 
 
 def _components(parts: Sequence[_Part]) -> tuple[Component, ...]:
-    """Return at most 8 Gaussians of (ln G, ln Gn, alpha)."""
-    most = (8, 4, 2)[len(parts) - 1]
+    """Return at most 6 Gaussians of (ln G, ln Gn, alpha)."""
+    most = 4 if len(parts) == 1 else 2
     return tuple(
         component._replace(weight=part.weight * component.weight)
         for part in parts

@@ -16,6 +16,7 @@ Nordlund, IEEE Trans. Signal Process. 53, 2005). There is no other approximation
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from typing import NamedTuple
@@ -38,6 +39,7 @@ from fden_ros.core.estimation.grid import (
     solved,
 )
 from fden_ros.core.estimation.law import of_cells
+from fden_ros.core.estimation.record import Block
 from fden_ros.core.law import RATES
 
 #: Cells that a filter takes before its grid is laid anew [1].
@@ -47,7 +49,6 @@ _ROOM = 48
 class _Row(NamedTuple):
     """What a new cell adds."""
 
-    stress: float  #: by the model [Pa]
     column: Array  #: (k,)
     responses: Array  #: (M,)
     clocks: Clocks
@@ -63,7 +64,18 @@ class Filter:
         Which was laid last.
     count : int
         Cells by now.
+    stiffness : Stiffness
+        Ln G, its variance and the log evidence of all nodes, mixed over the scales. These are
+        weighed at a laying; between two the likelihood under the leading ones counts.
+    weights : ndarray, shape (M,)
+        Of the nodes.
+    log_evidence : float
+        Of the record by now.
     """
+
+    stiffness: Stiffness
+    weights: Array
+    log_evidence: float
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
@@ -81,6 +93,7 @@ class Filter:
         diagonal = grid.lower.diagonal()
         self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(diagonal).sum()
         self._first = self._now = self._weighed()
+        self._mix()
         # Rates of the lead, its changes, and the nodes.
         drive = linear.drive
         self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
@@ -97,6 +110,7 @@ class Filter:
         self._stresses = linear.stresses[-2:].tolist()
         self._middles = self._press.middles[-2:].tolist()
         self._loading, self._clocks = grid.covariance.loading, grid.covariance.clocks
+        self._rough = float(self._clocks.roughness[-1])
 
     def _begin_rows(self) -> None:
         grid = self.grid
@@ -114,34 +128,22 @@ class Filter:
         """Whether there is no room for another cell."""
         return self.count >= len(self.lower)
 
-    @property
-    def stiffness(self) -> Stiffness:
-        """Ln G, its variance and the log evidence of all nodes, mixed over the scales.
-
-        These are weighed at a laying; between two the likelihood under the leading ones counts.
-        """
-        mixed, first, now = self.grid.stiffness, self._first, self._now
-        return Stiffness(
+    def _mix(self) -> None:
+        """Weigh the nodes."""
+        grid, mixed, first, now = self.grid, self.grid.stiffness, self._first, self._now
+        self.stiffness = Stiffness(
             mixed.log_g + now.log_g - first.log_g,
             mixed.variance * now.variance / first.variance,
             mixed.log + now.log - first.log,
         )
-
-    @property
-    def weights(self) -> Array:
-        """Of the nodes, (M,)."""
-        grid = self.grid
-        return np.asarray(np.exp(cut(grid.law, grid.nodes, self.stiffness.log + grid.log_prior)))
+        log = self.stiffness.log + grid.log_prior
+        self.weights = np.exp(cut(grid.law, grid.nodes, log))
+        self.log_evidence = log_evidence_of(grid.law, log)
 
     @property
     def log_leading(self) -> float:
         """Log evidence of the record by now at the leading scales, with their prior as it is."""
         return float(log_sum(self._now.log + self.grid.log_prior))
-
-    @property
-    def log_evidence(self) -> float:
-        """Log evidence of the record by now."""
-        return log_evidence_of(self.grid.law, self.stiffness.log + self.grid.log_prior)
 
     def _weighed(self) -> Stiffness:
         found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
@@ -170,44 +172,65 @@ class Filter:
 
     def append(self, press: Press) -> CellInnovation | None:
         """Take the press with one block more; None: it was not observed, or there is no room."""
-        points = self._press.times.size
-        tail = press.behind(points, self._press.middles.size)
+        tail = press.behind(self._press.times.size, self._press.middles.size)
         row = self._row(tail)
         self._press = press
         if row is None or self.is_full:
             return None
-        n, k = self.count, self._heads + self.grid.law.size
-        x, weights = self._prior @ row.column, self.weights
-        lower = self.lower[:n, :n]
-        across = self.columns[:n] @ x + self._walked(row.clocks)
-        own = solved(lower, across[:, None])[:, 0]
-        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
-        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
-        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
-        shift[0] += float(tail.stresses[0])
-        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        n, k, stress = self.count, self._heads + self.grid.law.size, float(tail.stresses[0])
+        own, root, white = self._whitened(row, stress)
         self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
         self._clocks = self._clocks.added(row.clocks)
-        self._stresses = [self._stresses[-1], row.stress]
-        self._middles = [self._middles[-1], float(tail.middles[0])]
         seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
-        found = self._innovation(float(tail.stresses[0]), root, seen, white[k:], weights)
+        off, variance = self._off(root, seen, white[k:])
         self._a = self._a + white[k:] ** 2
         self._b = self._b + seen * white[k:]
         self._rest = self._rest + 0.5 * seen**2 + math.log(root)
         self._now = self._weighed()
-        return found
+        self._mix()
+        return CellInnovation(stress - off, off, variance)
 
-    def _innovation(
-        self, stress: float, root: float, seen: Array, rows: Array, weights: Array
-    ) -> CellInnovation:
-        stiffness = self.stiffness
-        by_g = rows * np.exp(stiffness.log_g)
+    def ahead(self, times: Array, indentations: Array) -> tuple[Array, Array]:
+        """Return mean and variance of the stress along a motion to come [Pa, Pa^2], (n,) each.
+
+        Given the data each node predicts it as a Gaussian (kriging); the parameters are its times
+        [s] and indentations [1], of shape (n,).
+        """
+        state, k = copy.copy(self), self._heads + self.grid.law.size
+        found = []
+        for time, indentation in zip(times.tolist(), indentations.tolist(), strict=True):
+            block = Block(time, 0.0, indentation, 0.0, 0.0, 0.0, 0.0, 1, 0.0, True)
+            press = state._press.appended(block, 0.0)
+            row = state._row(press.behind(state._press.times.size, state._press.middles.size))
+            assert row is not None
+            state._press = press
+            _, root, white = state._whitened(row, 0.0)
+            seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+            off, variance = state._off(root, seen, white[k:])
+            found.append((-off, variance))
+        mean, variances = np.array(found).T
+        return mean, variances
+
+    def _whitened(self, row: _Row, stress: float) -> tuple[Array, float, Array]:
+        """Return the row of L of a new cell, its diagonal, and the cell's row, whitened."""
+        n, x = self.count, self._prior @ row.column
+        across = self.columns[:n] @ x + self._walked(row.clocks)
+        own = solved(self.lower[:n, :n], across[:, None])[:, 0]
+        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
+        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
+        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
+        shift[0] += stress
+        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        return own, root, white
+
+    def _off(self, root: float, seen: Array, rows: Array) -> tuple[float, float]:
+        """Return by how much a cell is off its prediction, and the variance of that."""
+        by_g = rows * np.exp(self.stiffness.log_g)
         each = root * (seen - by_g)
-        mean = float(weights @ each)
-        spread = root**2 * (1.0 + by_g**2 * stiffness.variance) + (each - mean) ** 2
-        return CellInnovation(stress - mean, mean, float(weights @ spread))
+        mean = float(self.weights @ each)
+        spread = root**2 * (1.0 + by_g**2 * self.stiffness.variance) + (each - mean) ** 2
+        return mean, float(self.weights @ spread)
 
     def _row(self, tail: Press) -> _Row | None:
         """Take the points of a block; return the row of its cell, None where it has none."""
@@ -241,20 +264,28 @@ class Filter:
         law.add_stress_columns(tail, number, column[None])
         load, gain, steepest = of_cells(tail, drive)
         clocks = self._clocks_after(tail, float(total[0]), load, gain)
+        self._stresses = [self._stresses[-1], float(total[0])]
+        self._middles = [self._middles[-1], float(tail.middles[0])]
         noise = grid.covariance.noise_of(
             tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
         )
-        return _Row(float(total[0]), column, total[k:], clocks, float(noise[0]))
+        return _Row(column, total[k:], clocks, float(noise[0]))
 
     def _clocks_after(self, tail: Press, stress: float, load: Array, gain: Array) -> Clocks:
-        """Return how far the walks have gone at a new cell."""
+        """Return how far the walks have gone at a new cell, the newest from now on."""
         covariance = self.grid.covariance
         seconds = float(tail.middles[0]) - self._middles[-1]
         self._loading, turned = self._loading.after(float(load[0]) + covariance.floor, seconds)
         number = len(self.grid.law.place.presses) - 1
         force, surface = covariance.walked(tail)
-        rough = self._clocks.roughness[-1:] + stress**2 * turned
-        return Clocks(np.array([number]), rough, force, surface, gain * covariance.surface_factor)
+        self._rough = self._rough + stress**2 * turned
+        return Clocks(
+            np.array([number]),
+            np.array([self._rough]),
+            force,
+            surface,
+            gain * covariance.surface_factor,
+        )
 
     def _walked(self, new: Clocks) -> Array:
         """Return the covariance of the walks at all cells with those at a new one."""

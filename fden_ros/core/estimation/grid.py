@@ -34,8 +34,8 @@ from fden_ros.core.estimation.law import Expansion, Law, Linear
 
 #: A grid reaches as many standard deviations [1].
 REACH = 3.0
-#: Effective number of nodes that a grid has, for each coordinate [1]: below it is too coarse.
-_LEAST_EFFECTIVE = 1.9
+#: A grid is too coarse below this part of the effective number of nodes of a Gaussian in it [1].
+_LEAST_EFFECTIVE = 0.46
 #: A scale replaces the leading one where the log evidence gains this [1].
 _LEAST_GAIN = 0.5
 #: A grid is settled where its log evidence has changed by less than this [1].
@@ -158,13 +158,14 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
     for kind in kinds:
         at = [i for i, one in enumerate(places) if (one.roughness, one.motion) == kind]
         lower = cholesky(covariance.without_smooth(places[at[0]]))
-        white = solved(lower, both)
+        white = lapack.dtrtri(lower, lower=1)[0] @ both
         u, y, r = white[:, :k], white[:, k : k + m], white[:, k + m :]
         sizes = np.array([places[i].smooth for i in at])
         scale = np.repeat(sizes, widths, axis=1)  # (places, k)
         inner = scale[:, :, None] * (u.T @ u) * scale[:, None, :] + np.eye(k)
         root = np.linalg.cholesky(inner)
-        across = np.linalg.solve(root, scale[:, :, None] * (u.T @ white[:, k:]))
+        # An inverse and one product take a fifth of the time of a solution for each place.
+        across = (np.linalg.inv(root) * scale[:, None, :]) @ (u.T @ white[:, k:])
         ay, ar = across[:, :, :m], across[:, :, m:]
         a[at] = np.einsum("ij,ij->j", r, r) - np.einsum("pij,pij->pj", ar, ar)
         b[at] = np.einsum("ij,ij->j", y, r) - np.einsum("pij,pij->pj", ay, ar)
@@ -196,6 +197,16 @@ def tempered(log: Array, least: float) -> tuple[Array, float]:
         beta = 0.5 * (low + high)
         low, high = (beta, high) if 1.0 / np.sum(weights(beta) ** 2) >= least else (low, beta)
     return weights(low), low
+
+
+def _least_effective(law: Law) -> float:
+    """Return the effective number of nodes, 1 / sum w^2, that a grid has at least.
+
+    A Gaussian of unit variance has sqrt(4 pi) / h of them at a distance of h.
+    """
+    counts = np.array(law.counts)[open_of(law)]
+    gaussian = math.sqrt(4.0 * math.pi) * (counts - 1) / (2.0 * REACH)
+    return float(np.prod(np.maximum(_LEAST_EFFECTIVE * gaussian, 1.0)))
 
 
 def product(box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
@@ -306,7 +317,7 @@ def begun(law: Law, noise: Noise) -> Start:
     found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     best = int(np.argmax(log))
-    weights, _ = tempered(log, _LEAST_EFFECTIVE ** open_of(law).sum())
+    weights, _ = tempered(log, _least_effective(law))
     box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
     middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
     scales = min(
@@ -359,7 +370,7 @@ class _Weighed(NamedTuple):
     lower: Array
     white: Array  #: y, X P and responses
     residual: Array  #: y of each node less its response, whitened, (N, M)
-    log_g: Array
+    stiffness: Stiffness
     log: Array  #: log evidence with the prior
 
 
@@ -382,7 +393,7 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
     log = cut(law, nodes, log) + log_sum(log)
     residual = own - rows * np.exp(found.log_g)
     return _Weighed(
-        linear, covariance, nodes, cells, log_prior, lower, white, residual, found.log_g, log
+        linear, covariance, nodes, cells, log_prior, lower, white, residual, found, log
     )
 
 
@@ -390,19 +401,23 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     """Lay a grid: one round."""
     own = _weighed(law, noise, start)
     linear, covariance, nodes, cells, log_prior, lower, white, _, _, log = own
-    weights, beta = tempered(log, _LEAST_EFFECTIVE ** open_of(law).sum())
+    weights, beta = tempered(log, _least_effective(law))
     is_coarse = beta < 1.0
-    box = _around(law, own, start) if is_coarse else _moments(law, nodes, weights, start.box)
+    has_moments = law.has_close_nodes and not is_coarse
+    box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
     if start.rounds >= _DAMPED_FROM:
         box = _between(start.box, box)
-    likely, scales = _likely_scales(law, own, start)
+    mixture, scales = _likely_scales(law, own, start)
     total = float(log_sum(log))
     is_near = abs(total - start.log_evidence) < _SETTLED_GAIN or start.is_continued
     settled = (
         not is_coarse and scales == start.scales and is_near and _is_near(law, start.box, box)
     )
     about = _relinearised(law, own, start, weights)
-    mixed, mixture = _mixed(law, covariance, likely, cells, log_prior)
+    if settled:
+        mixed, mixture = _mixed(law, own, [one for one, _ in mixture])
+    else:
+        mixed = _led(own, start.scales, mixture)
     after = Start(about, box, scales, total, rounds=start.rounds + 1)
     return Grid(
         law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, mixed,
@@ -410,8 +425,13 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     )  # fmt: skip
 
 
-def _likely_scales(law: Law, own: _Weighed, start: Start) -> tuple[list[Scales], Scales]:
-    """Return the likely places next to the leading one, and that which leads from now on."""
+def _likely_scales(
+    law: Law, own: _Weighed, start: Start
+) -> tuple[list[tuple[Scales, float]], Scales]:
+    """Return the likely places next to the leading one, and that which leads from now on.
+
+    With their weights, by the best nodes alone.
+    """
     few = np.argsort(-own.log)[:_FEW]
     places = near(scales_of(law.config.uncertainty), start.scales)
     logs = table(law, own.covariance, places, own.cells.some(few)).log + own.log_prior[few]
@@ -419,8 +439,9 @@ def _likely_scales(law: Law, own: _Weighed, start: Start) -> tuple[list[Scales],
     gain = 4.0 * _LEAST_GAIN if start.rounds >= _DAMPED_FROM else _LEAST_GAIN
     best = places[int(np.argmax(sums))]
     leads = best if sums.max() > sums[places.index(start.scales)] + gain else start.scales
-    least = sums.max() - _NEGLIGIBLE_SCALE
-    return [one for one, log in zip(places, sums, strict=True) if log > least], leads
+    likely = np.flatnonzero(sums > sums.max() - _NEGLIGIBLE_SCALE)
+    weights = np.exp(sums[likely] - log_sum(sums[likely]))
+    return [(places[k], w) for k, w in zip(likely, weights.tolist(), strict=True)], leads
 
 
 def _is_near(law: Law, box: Box, other: Box) -> bool:
@@ -442,10 +463,10 @@ def whitened(
 
 
 def _mixed(
-    law: Law, covariance: Covariance, likely: Sequence[Scales], cells: Cells, log_prior: Array
+    law: Law, own: _Weighed, likely: Sequence[Scales]
 ) -> tuple[Stiffness, list[tuple[Scales, float]]]:
     """Return the nodes mixed over likely scales, and these with their weights."""
-    found = table(law, covariance, likely, cells)
+    found, log_prior = table(law, own.covariance, likely, own.cells), own.log_prior
     log = log_sum(found.log, axis=0)
     share = np.exp(found.log - log)
     log_g = (share * found.log_g).sum(axis=0)
@@ -453,6 +474,16 @@ def _mixed(
     whole = np.exp(log_sum(found.log + log_prior, axis=1) - log_sum(log + log_prior))
     mixture = list(zip(likely, whole.tolist(), strict=True))
     return Stiffness(log_g, np.maximum(variance, 0.0), log), mixture
+
+
+def _led(own: _Weighed, leading: Scales, mixture: Sequence[tuple[Scales, float]]) -> Stiffness:
+    """Return the nodes at the leading scales alone: another round comes.
+
+    Their evidence is that of all scales, by the best nodes.
+    """
+    share = sum(weight for one, weight in mixture if one == leading)
+    gain = leading.log_prior - math.log(max(share, math.exp(-_NEGLIGIBLE_SCALE)))
+    return own.stiffness._replace(log=own.log - own.log_prior + gain)
 
 
 def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
@@ -473,7 +504,7 @@ def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
 
 
 def _around(law: Law, own: _Weighed, start: Start) -> Box:
-    """Return the box of a Gaussian about the best node: the grid is too coarse for its nodes.
+    """Return the box of a Gaussian about the best node: the nodes are too far apart for moments.
 
     By a step of Gauss and Newton, at most as far as the nodes are apart.
     """
@@ -533,7 +564,7 @@ def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expa
     cross = ((told - state[:, None]) * weights) @ off
     by_theta = cross @ inverse
     by_theta[KERNEL] = cross[KERNEL] @ of_kernel
-    log_g = float(weights @ own.log_g[top])
+    log_g = float(weights @ own.stiffness.log_g[top])
     wanted = Expansion(mean, log_g, state, by_theta, about.stresses)
     return _damped(law, own.covariance, start, wanted)
 

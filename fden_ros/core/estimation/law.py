@@ -176,6 +176,8 @@ class Law:
     #: Nodes along each coordinate, and of the broad grid that begins.
     counts: ClassVar[tuple[int, ...]] = (7, 9, 7)
     broad: ClassVar[tuple[int, ...]] = (9, 13, 7)
+    #: They have the moments of the posterior, not its evidence alone.
+    has_close_nodes: ClassVar = True
     has_kernel_error: ClassVar = True
 
     @classmethod
@@ -424,6 +426,7 @@ class Plateau(Law):
     kernels: ClassVar = 2
     counts: ClassVar[tuple[int, ...]] = (5, 5, 5, 3)
     broad: ClassVar[tuple[int, ...]] = (5, 5, 7, 3)
+    has_close_nodes: ClassVar = False
     has_kernel_error: ClassVar = False
 
     @property

@@ -22,7 +22,15 @@ from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.face import CellInnovation, Touch
 from fden_ros.core.estimation.filter import Filter
-from fden_ros.core.estimation.grid import Grid, begun, continued, laid, log_evidence_of, solve
+from fden_ros.core.estimation.grid import (
+    Grid,
+    Start,
+    begun,
+    continued,
+    laid,
+    log_evidence_of,
+    solve,
+)
 from fden_ros.core.estimation.law import Law
 from fden_ros.core.estimation.nuisance import rig_of
 from fden_ros.core.estimation.posterior import Posterior
@@ -46,7 +54,7 @@ _LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and at its end: scales that were small are left only where the columns are those of
 #: larger ones, and the log evidence was up to 15 lower.
-_ANEW = 2.0
+_AFRESH = 2.0
 #: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
 _GATE, _GATE_BLOCKS = 4.0, 3
 #: The probe holds below this part of its largest speed [1].
@@ -94,7 +102,8 @@ class PlacePosterior:
         self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
         self._fastest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond, self._anew_at = 0, 0.0
+        self._beyond, self._afresh_at = 0, 0.0
+        self._start: Start | None = None  #: of the next round of a grid from nothing
         self._rival = Rival()
 
     @property
@@ -146,7 +155,7 @@ class PlacePosterior:
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest, self._beyond, self._anew_at = 0.0, 0, 0.0
+        self._fastest, self._beyond, self._afresh_at, self._start = 0.0, 0, 0.0, None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -179,6 +188,8 @@ class PlacePosterior:
                 self._see_innovation(found)
         if self._is_due(block):
             self._lay()
+        elif self._start is not None:
+            self._lay_afresh(self._start)
         elif self._rival.is_due(self._laid_at[0]):
             assert self.filter is not None
             self._rival.lay(self.filter)
@@ -267,20 +278,39 @@ class PlacePosterior:
             press = gathered(blocks, self.noise_sd, most)
         self._press = press.remembered()
         law = self._law(self._press)
+        if self.filter is not None and law.last_knot != self.filter.grid.law.last_knot:
+            self._start = None  # its errors have other knots
         noise = Noise(self.setting.noise_sd, self.noise_sd)
         if self.filter is None:
             start = begun(law, noise)
         else:
             moments = self._moments()
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
-        grid = laid(law, noise, start)
+        self._take(laid(law, noise, start))
         elapsed = self.now - self._began
-        if most != _GATHERED or (self.has_slowed and elapsed > _ANEW * self._anew_at):
-            self._anew_at = elapsed
-            grid = _likelier(grid, solve(law, noise))
+        if self.has_slowed and elapsed > _AFRESH * self._afresh_at:
+            self._afresh_at, self._start = elapsed, begun(law, noise)
+
+    def _take(self, grid: Grid) -> None:
         self.filter = Filter(grid)
         self._laid_at = self.now - self._began, self.deepest, self._blocks
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
+
+    def _lay_afresh(self, start: Start) -> None:
+        """Lay one round of a grid from nothing, of the record of the newest grid; take a likelier.
+
+        The record may be longer than that of the round before.
+        """
+        assert self.filter is not None
+        own = self.filter.grid
+        about = own.law.stressed(start.about)
+        grid = laid(own.law, own.noise, start._replace(about=about))
+        self._start = grid.after if grid.after.rounds < _LAST_ROUNDS else None
+        if grid.is_settled:
+            self._start = None
+            if _likelier(own, grid) is grid:
+                self._take(grid)
+                self._lay()
 
     def lay_again(self) -> None:
         """Lay a grid of the presses that have ended."""
@@ -296,10 +326,14 @@ class PlacePosterior:
         for block in self._record.close():
             self._append(block)
         if self._press is not None:
-            for number in range(_LAST_ROUNDS):
-                self._lay(most=_ENDED if number == 0 else _GATHERED)
+            self._lay(most=_ENDED)
+            if self.filter is not None:
+                own = self.filter.grid
+                self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
+            for _ in range(_LAST_ROUNDS):
                 if self.is_settled:
                     break
+                self._lay()
             if self.filter is not None:
                 self._rival.end(self.filter)
             self._ended.append(self._press)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ class Posterior:
     rows: Array  #: y of these, whitened, less their mean response, (N, M)
     responses: Array  #: whitened, times G, (N, M)
     known: Array  #: X P, whitened, (N, k)
-    mean_dwell_time: float  #: mean age of the loading [s]
+    state: Filter  #: as it was
 
     @classmethod
     def of(cls, state: Filter) -> Posterior:
@@ -54,7 +55,7 @@ class Posterior:
         responses = white[:, k + top] * np.exp(stiffness.log_g)
         share = weights[top] / weights[top].sum()
         return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
-                   white[:, heads:k], state.mean_dwell_time)  # fmt: skip
+                   white[:, heads:k], copy.copy(state))  # fmt: skip
 
     @functools.cached_property
     def moments(self) -> tuple[Array, Array]:

@@ -50,6 +50,8 @@ class SmallMotion:
 
     Attributes
     ----------
+    now : float
+        The time of the newest sample [s].
     weight : float
         Of all its nodes [1].
     shift : float
@@ -61,6 +63,7 @@ class SmallMotion:
     """
 
     posterior: Posterior
+    now: float = 0.0
     weight: float = 1.0
     shift: float = 0.0
     variance_factor: float = 1.0
@@ -103,6 +106,19 @@ class SmallMotion:
         values -= math.log(law.geometry.stress_per_force * law.geometry.length)
         return LogStiffnesses(self.weight * posterior.weights, values, self._variances(row))
 
+    def stresses(self, times: Array, indentations: Array) -> tuple[Array, Array]:
+        """Return mean and variance of the stress along a plan [Pa, Pa^2], (n,) each.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,)
+            From now on [s].
+        indentations : ndarray, shape (n,)
+            From the nominal contact point [1].
+        """
+        mean, variance = self.posterior.state.ahead(self.now + times, indentations + self.shift)
+        return mean, self.variance_factor * variance
+
     def _yielding(self, stress: float) -> Array:
         """Return what the unknowns take from the indentation at a stress [Pa], (k,) [1]."""
         law = self.posterior.grid.law
@@ -139,6 +155,20 @@ class SmallMotion:
         by_g = 1.0 - np.einsum("nm,nm->m", known, posterior.responses)
         found = np.maximum(left, 0.0) + by_g**2 * posterior.stiffness.variance
         return np.asarray(self.variance_factor * found + self.unseen)
+
+
+def stress_ahead(
+    motions: Sequence[SmallMotion], times: Array, indentations: Array
+) -> tuple[Array, Array]:
+    """Return mean and variance of the stress along a plan [Pa, Pa^2] by several posteriors.
+
+    The parameters are those of :meth:`SmallMotion.stresses`.
+    """
+    found = [motion.stresses(times, indentations) for motion in motions]
+    weights = np.array([motion.weight for motion in motions])
+    means, variances = np.array(found).transpose(1, 0, 2)
+    mean = weights @ means
+    return mean, weights @ (variances + (means - mean) ** 2)
 
 
 def log_stiffness(
