@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ from fden_ros.core.estimation.grid import (
     of_stiffness,
     prior_of_log_g,
     solved,
+    whitened,
 )
 from fden_ros.core.estimation.law import of_cells
 from fden_ros.core.estimation.record import Block
@@ -44,6 +46,8 @@ from fden_ros.core.law import RATES
 
 #: Cells that a filter takes before its grid is laid anew [1].
 _ROOM = 48
+#: Places of the scales that are less likely do not predict [1].
+_LEAST_SHARE = 0.02
 
 
 class _Row(NamedTuple):
@@ -80,20 +84,10 @@ class Filter:
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         law, linear = grid.law, grid.linear
-        self.scales: Scales = grid.start.scales
         self._heads = grid.cells.y.shape[1]
-        self._prior = grid.covariance.prior(self.scales)
         self._press = law.place.presses[-1]
-        self._begin_rows()
-        rows = self.white[: self.count, self._heads + law.size :]
-        own = self.white[: self.count, : self._heads]
-        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
-        self._a = np.einsum("ij,ij->j", rows, rows)
-        self._b = np.einsum("ij,ij->j", own, rows)
-        diagonal = grid.lower.diagonal()
-        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(diagonal).sum()
-        self._first = self._now = self._weighed()
-        self._mix()
+        self._taken: list[tuple[_Row, float]] = []  #: new cells, and their stresses [Pa]
+        self._begin(grid.start.scales, grid.lower, grid.white, grid.stiffness)
         # Rates of the lead, its changes, and the nodes.
         drive = linear.drive
         self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
@@ -109,19 +103,35 @@ class Filter:
         )
         self._stresses = linear.stresses[-2:].tolist()
         self._middles = self._press.middles[-2:].tolist()
-        self._loading, self._clocks = grid.covariance.loading, grid.covariance.clocks
+        self._loading = grid.covariance.loading
         self._rough = float(self._clocks.roughness[-1])
 
-    def _begin_rows(self) -> None:
-        grid = self.grid
-        self.count, width = grid.white.shape
+    def _begin(
+        self, scales: Scales, lower: Array, white: Array, stiffness: Stiffness | None
+    ) -> None:
+        """Begin at the grid's own cells, at some scales.
+
+        `stiffness`: of the nodes, mixed over the scales; None: at these alone.
+        """
+        grid, law = self.grid, self.grid.law
+        self.scales, self._prior = scales, grid.covariance.prior(scales)
+        self.count, width = white.shape
         size = self.count + _ROOM
         self.lower = np.zeros((size, size), order="F")
-        self.lower[: self.count, : self.count] = grid.lower
+        self.lower[: self.count, : self.count] = lower
         self.white = np.zeros((size, width))
-        self.white[: self.count] = grid.white
-        self.columns = np.zeros((size, grid.law.size))
+        self.white[: self.count] = white
+        self.columns = np.zeros((size, law.size))
         self.columns[: self.count] = grid.linear.columns
+        rows, own = white[:, self._heads + law.size :], white[:, : self._heads]
+        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
+        self._a = np.einsum("ij,ij->j", rows, rows)
+        self._b = np.einsum("ij,ij->j", own, rows)
+        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
+        self._clocks = grid.covariance.clocks
+        self._first = self._now = self._weighed()
+        self._mixed = stiffness or self._first
+        self._mix()
 
     @property
     def is_full(self) -> bool:
@@ -130,7 +140,7 @@ class Filter:
 
     def _mix(self) -> None:
         """Weigh the nodes."""
-        grid, mixed, first, now = self.grid, self.grid.stiffness, self._first, self._now
+        grid, mixed, first, now = self.grid, self._mixed, self._first, self._now
         self.stiffness = Stiffness(
             mixed.log_g + now.log_g - first.log_g,
             mixed.variance * now.variance / first.variance,
@@ -177,7 +187,12 @@ class Filter:
         self._press = press
         if row is None or self.is_full:
             return None
-        n, k, stress = self.count, self._heads + self.grid.law.size, float(tail.stresses[0])
+        stress = float(tail.stresses[0])
+        self._taken.append((row, stress))
+        return self._take(row, stress)
+
+    def _take(self, row: _Row, stress: float) -> CellInnovation:
+        n, k = self.count, self._heads + self.grid.law.size
         own, root, white = self._whitened(row, stress)
         self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
@@ -194,23 +209,42 @@ class Filter:
     def ahead(self, times: Array, indentations: Array) -> tuple[Array, Array]:
         """Return mean and variance of the stress along a motion to come [Pa, Pa^2], (n,) each.
 
-        Given the data each node predicts it as a Gaussian (kriging); the parameters are its times
-        [s] and indentations [1], of shape (n,).
+        Given the data each node predicts it as a Gaussian (kriging), at each likely place of the
+        scales; the parameters are its times [s] and indentations [1], of shape (n,).
         """
-        state, k = copy.copy(self), self._heads + self.grid.law.size
-        found = []
+        rows, state = [], copy.copy(self)
         for time, indentation in zip(times.tolist(), indentations.tolist(), strict=True):
             block = Block(time, 0.0, indentation, 0.0, 0.0, 0.0, 0.0, 1, 0.0, True)
             press = state._press.appended(block, 0.0)
             row = state._row(press.behind(state._press.times.size, state._press.middles.size))
             assert row is not None
             state._press = press
-            _, root, white = state._whitened(row, 0.0)
+            rows.append(row)
+        likely = [(one, share) for one, share in self.grid.scales if share > _LEAST_SHARE]
+        shares = np.array([share for _, share in likely])
+        found = np.array([self._at(one)._predicted(rows) for one, _ in likely])
+        means, variances = found.transpose(2, 0, 1)
+        shares /= shares.sum()
+        mean = shares @ means
+        return mean, shares @ (variances + (means - mean) ** 2)
+
+    def _at(self, scales: Scales) -> Filter:
+        """Return the filter of the same cells at other scales."""
+        found, grid = copy.copy(self), self.grid
+        found._begin(scales, *whitened(grid.law, grid.covariance, scales, grid.cells), None)
+        for row, stress in self._taken:
+            found._take(row, stress)
+        return found
+
+    def _predicted(self, rows: Sequence[_Row]) -> list[tuple[float, float]]:
+        """Return mean and variance of the stress of cells of which there are no data."""
+        found, k = [], self._heads + self.grid.law.size
+        for row in rows:
+            _, root, white = self._whitened(row, 0.0)
             seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
-            off, variance = state._off(root, seen, white[k:])
+            off, variance = self._off(root, seen, white[k:])
             found.append((-off, variance))
-        mean, variances = np.array(found).T
-        return mean, variances
+        return found
 
     def _whitened(self, row: _Row, stress: float) -> tuple[Array, float, Array]:
         """Return the row of L of a new cell, its diagonal, and the cell's row, whitened."""
