@@ -31,7 +31,7 @@ CREEP_RATES: Array = np.append(RATES, 0.0)
 #: The stress falls to 0 within this time at the end of a press [s].
 _LETTING_GO = 1e-3
 #: A rise is cut where it is longer than this part of the largest indentation [1].
-_DEPTH_STEPS = 80.0
+_DEPTH_STEPS = 160.0
 
 
 @dataclass(frozen=True, eq=False)

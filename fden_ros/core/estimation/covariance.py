@@ -277,7 +277,7 @@ def shifts_of(law: Law, about: Expansion, columns: Array) -> Array:
 
 
 def _order_of(law: Law, about: Expansion) -> float:
-    return round(float(about.theta[0]), 3) if law.has_kernel_error else 0.3
+    return max(round(float(about.theta[0]), 3), 1e-3) if law.has_kernel_error else 0.3
 
 
 def near(grid: Sequence[Scales], scales: Scales) -> list[Scales]:

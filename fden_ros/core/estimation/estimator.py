@@ -19,7 +19,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Touch
 from fden_ros.core.estimation.grid import Grid
 from fden_ros.core.estimation.mixture import Component, moments
@@ -37,6 +37,9 @@ _ODDS = 20.0
 _LOW = 10.0
 #: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
 _SIMILAR = np.array([0.3, 0.15, 0.04])
+#: Deviations by which the order of the relaxation is another than is stated; its own are not less
+#: than this [1].
+_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: Probability of a plateau from which on the law is contradicted [1].
 _MISMATCH = 0.95
 
@@ -67,6 +70,7 @@ class _Part:
     covariance: Array
     claims: Claims
     beyond: float
+    is_order_contradicted: bool
 
 
 class GridEstimator(Estimator):
@@ -93,7 +97,7 @@ class GridEstimator(Estimator):
         self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
-        self._law_error: tuple[Grid, LawError | None] | None = None
+        self._law_errors: dict[int, tuple[Grid, LawError | None]] = {}  #: by place
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -245,8 +249,18 @@ class GridEstimator(Estimator):
         beyond = posterior.probability_beyond(one.place.deepest)
         mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
         sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-        claims = claims_of(config, Evidence(mean[:3], sds[:3], beyond, one.place.is_settled))
-        return _Part(weight, one.place, posterior, mean, covariance, claims, beyond)
+        evidence = Evidence(
+            mean[:3],
+            sds[:3],
+            beyond,
+            one.place.is_settled,
+            _contradicts_order(config.prior, self._law_error_of(one.place, posterior)),
+        )
+        claims = claims_of(config, evidence)
+        return _Part(
+            weight, one.place, posterior, mean, covariance, claims, beyond,
+            evidence.is_order_contradicted,
+        )  # fmt: skip
 
     def _prior(self) -> Estimate:
         config = self._setting.config
@@ -296,20 +310,21 @@ class GridEstimator(Estimator):
             at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
             mean_dwell_time=best.posterior.state.mean_dwell_time,
-            law_error=self._law_error_of(best),
+            law_error=self._law_error_of(best.place, best.posterior),
+            is_order_contradicted=any(part.is_order_contradicted for part in parts),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
             components=_components(parts),
             small_motions=self._small_motions(parts),
         )
 
-    def _law_error_of(self, part: _Part) -> LawError | None:
-        """Return the errors of the law by the newest grid."""
-        grid = part.posterior.grid
-        if self._law_error is None or self._law_error[0] is not grid:
-            found = part.posterior.law_error(part.place.elapsed, part.place.deepest)
-            self._law_error = grid, found
-        return self._law_error[1]
+    def _law_error_of(self, place: PlacePosterior, posterior: Posterior) -> LawError | None:
+        """Return the errors of the law by the newest grid of a place."""
+        grid, found = self._law_errors.get(id(place), (None, None))
+        if grid is not posterior.grid:
+            found = posterior.law_error(place.elapsed, place.deepest)
+            self._law_errors[id(place)] = posterior.grid, found
+        return found
 
     def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
         shifts = {id(one.place): one.shift for one in self._hypotheses}
@@ -321,6 +336,14 @@ class GridEstimator(Estimator):
             shift = shifts[id(part.place)]
             found.append(SmallMotion(part.posterior, self._now, part.weight, shift, unseen=unseen))
         return tuple(found)
+
+
+def _contradicts_order(prior: Prior, error: LawError | None) -> bool:
+    """Whether the relaxation is that of another alpha than is stated."""
+    if error is None:
+        return False
+    both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
+    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
 
 
 def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:

@@ -225,7 +225,9 @@ class Law:
         return mean, sds
 
     def inside(self, nodes: Array) -> Array:
-        """Return whether there are such nodes."""
+        """Return whether there are such nodes; an alpha that is given may be 0."""
+        if self.coordinates[1][0] == 0.0:
+            return np.ones(len(nodes), dtype=bool)
         return np.asarray((nodes[:, 0] >= LOWEST_ORDER) & (nodes[:, 0] <= HIGHEST_ORDER))
 
     def weights(self, nodes: Array) -> Array:

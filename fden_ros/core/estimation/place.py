@@ -49,8 +49,8 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
-_LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: Rounds at the end of a press [1]; least time between two rounds [s].
+_LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and at its end: scales that were small are left only where the columns are those of
 #: larger ones, and the log evidence was up to 15 lower.
@@ -99,7 +99,7 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._blocks = 0
-        self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
+        self._laid_at = 0.0, 0.0  # time [s], depth [1]
         self._fastest = 0.0
         self.has_slowed = self.is_changed = False
         self._beyond, self._afresh_at = 0, 0.0
@@ -220,11 +220,11 @@ class PlacePosterior:
             return False
         if self._press is None:
             return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
-        time, depth, blocks = self._laid_at
+        time, depth = self._laid_at
         assert self.filter is not None
         if self._press.middles.size >= _MOST:
             return True
-        if self._blocks - blocks < _ROUND_BLOCKS:
+        if elapsed - time < _ROUND_TIME:
             return False
         if self._beyond:
             return False
@@ -293,7 +293,7 @@ class PlacePosterior:
 
     def _take(self, grid: Grid) -> None:
         self.filter = Filter(grid)
-        self._laid_at = self.now - self._began, self.deepest, self._blocks
+        self._laid_at = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def _lay_afresh(self, start: Start) -> None:

@@ -22,7 +22,7 @@ from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
 
 #: Nodes less likely than the best by this factor do not count [1].
-_LEAST = 1e-4
+_LEAST = 1e-3
 #: Places at which errors of the law are read off; the loaded part of the curve [1].
 _PLACES, _LOADED = 16, 0.7
 #: Steps of theta for its derivatives, over its standard deviation [1].
