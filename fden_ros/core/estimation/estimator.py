@@ -149,6 +149,8 @@ class GridEstimator(Estimator):
             Whether the probe is on the tissue, as far as is known.
         """
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
+            if self._touched_at + time < self._now:
+                continue  # the press before had it
             self._now = self._touched_at + time
             for one in self._hypotheses:
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)

@@ -517,7 +517,7 @@ def _around(law: Law, own: _Weighed, start: Start) -> Box:
     white = solved(own.lower, np.hstack([y, responses, changes]))
     d = steps.size
     base, moved, shifts = white[:, 1], white[:, 2 : 2 + d], white[:, 2 + d :]
-    g = max(float(white[:, 0] @ base), 1e-300) / float(base @ base)
+    g = max(float(white[:, 0] @ base), 1e-300) / max(float(base @ base), 1e-300)
     jacobian = np.column_stack([g * base, (g * (moved - base[:, None]) - shifts) / steps])
     (mean, sds), at = law.coordinates, np.ix_(is_open, is_open)
     mean_g, sd_g = prior_of_log_g(law)
