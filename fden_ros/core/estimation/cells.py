@@ -15,6 +15,7 @@ and its points append columns; older cells never see newer points.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -58,6 +59,11 @@ class Press:
     def end(self) -> float:
         """When the stress is over [s]."""
         return float(self.times[-1]) + _LETTING_GO
+
+    @functools.cached_property
+    def into_moments(self) -> Array:
+        """What makes the moments at its end of stresses at its cells, (33, N)."""
+        return _moments_of(self)
 
     def appended(self, block: Block, noise_sd: float) -> Press:
         """Return the press with one block more; one that was not observed adds points alone."""
@@ -296,7 +302,7 @@ def _slices(sizes: Sequence[int]) -> list[slice]:
     return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
 
 
-def moments_of(press: Press) -> Array:
+def _moments_of(press: Press) -> Array:
     """Return what makes the moments at the press's end of stresses at its cells, (33, N).
 
     The stress is linear between the cells, from 0 at the first point to 0 at the end.

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered, moments_of
+from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
 from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.face import CellInnovation, Touch
@@ -346,7 +346,7 @@ class PlacePosterior:
         press = self._ended.pop(0)
         end = self._older_end or press.start
         decay = np.exp(-CREEP_RATES * (press.end - end))
-        self._older = decay * self._older + moments_of(press) @ np.maximum(press.stresses, 0.0)
+        self._older = decay * self._older + press.into_moments @ np.maximum(press.stresses, 0.0)
         self._older_end = press.end
 
     def posterior(self) -> Posterior | None:
