@@ -170,6 +170,6 @@ def test_a_touch_that_may_be_elsewhere_leaves_the_estimator_of_the_last_site_as_
     before = pickle.dumps(first._estimator)
     until(pipeline, items, lambda contact: contact.contact_id == 2)
     second = contact_of(pipeline).site
-    assert second is not first and len(second._estimator._pasts.all) > 1
+    assert second is not first and len(second._estimator._hypotheses) > 1
     assert pickle.dumps(first._estimator) == before
     assert summaries_of(outputs)[0].converged

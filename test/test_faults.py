@@ -261,11 +261,11 @@ def clipped(limit: float) -> Callable[[Shift], list[Step]]:
 def break_estimator(pipeline: Pipeline) -> None:
     """Let the estimator of the site under the probe raise at its next block."""
 
-    def update(block: object) -> None:
+    def add(*samples: object) -> None:
         raise ZeroDivisionError("on purpose")
 
     site = pipeline._session._sites.present  # type: ignore[union-attr]
-    site._estimator.update = update
+    site._estimator.add = add
 
 
 def arm_with(

@@ -125,10 +125,13 @@ class GridEstimator(Estimator):
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
         self._now = self._touched_at = self._now + pause
+        # Evidences compare where the records are of the same data.
+        reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
             one.base = one.place.log_evidence
             approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
-            one.place.touch(onset._replace(approach=approach), self._now)
+            own = onset._replace(approach=approach)
+            one.place.touch(own, self._now, reach - one.shift if one.place.reach else 0.0)
 
     def add(
         self,

@@ -144,12 +144,17 @@ class PlacePosterior:
 
     # A press
 
-    def touch(self, touch: Touch, now: float) -> None:
-        """Begin a press at a time [s]."""
-        setting, geometry = self.setting, self.setting.geometry
-        reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
-        # In a later press too, so that records of one touch have the same cells.
-        self._record = Record(self.noise_sd, reach, is_at_rest=geometry.is_one_sided)
+    @property
+    def reach(self) -> float:
+        """How far before its nominal place the surface may be [1]; 0: it is known."""
+        is_one_sided = self.setting.geometry.is_one_sided
+        return 6.0 * self.setting.contact_point_sd if is_one_sided else 0.0
+
+    def touch(self, touch: Touch, now: float, reach: float) -> None:
+        """Begin a press at a time [s]; `reach`: of the motion that its record begins with [1]."""
+        # At rest in a later press too, so that records of one touch have the same cells.
+        is_one_sided = self.setting.geometry.is_one_sided
+        self._record = Record(self.noise_sd, reach, is_at_rest=is_one_sided)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self.now = touch, None, now
