@@ -19,10 +19,10 @@ from fden_ros.cli import build_parser
 from fden_ros.commands.parameters import parameter_file
 from fden_ros.core import Decision, Flag, OrderSource, Phase, Status
 from fden_ros.core.streams import Reason
+from fden_ros.inputs import DAMAGED
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, Parameters, read_parameter_file
 from fden_ros.recording.source import Selection
-from fden_ros.ros.inputs import DAMAGED
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

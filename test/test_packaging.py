@@ -337,8 +337,9 @@ ROOMS = (
     "simulation",
     "tissues",
     "parameters",
-    "ros",
+    "inputs",
     "recording",
+    "ros",
     "experiments",
     "control",
     "tissue_feed",
@@ -351,7 +352,10 @@ ROOMS = (
     "cli",
 )
 #: Modules that stand alone at the root.
-LOOSE = {"arrays", "errors", "one_thread", "progress", "shipped", "tissue_feed", "written", "cli"}
+LOOSE = {
+    "arrays", "cli", "errors", "inputs", "one_thread", "progress", "shipped", "tissue_feed",
+    "written",
+}  # fmt: skip
 
 
 def room_of(module: str) -> str:

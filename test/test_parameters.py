@@ -28,6 +28,7 @@ from fden_ros.core import (
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.inputs import Inputs
 from fden_ros.parameters import (
     FORCES,
     PARAMETERS,
@@ -39,7 +40,6 @@ from fden_ros.parameters import (
     tool_weight,
 )
 from fden_ros.parameters.table import parameter_named
-from fden_ros.ros.inputs import Inputs
 from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,

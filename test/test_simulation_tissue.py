@@ -25,7 +25,7 @@ from benchmark.other_laws import (
     standard_linear_solid,
     stress_of_law,
 )
-from fden_ros.ros.inputs import stamp_ns
+from fden_ros.inputs import stamp_ns
 from fden_ros.simulation import Column, FdenModel, Inclusion, Tissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
 from simulation.contact import Stiffening, contacts_of_moves

@@ -19,6 +19,7 @@ from fden_ros.configure.transforms import FrameTree
 from fden_ros.configure.units import NOT_STATED, STATED_SI, Unit, unit_of
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
+from fden_ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
 from fden_ros.parameters import FORCES, PLACES, check
 from fden_ros.progress import progress
 from fden_ros.recording.bag_files import Topic
@@ -28,7 +29,6 @@ from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import BagSource, Selection
 from fden_ros.recording.table import Column, TableReader, stated_columns
 from fden_ros.recording.text import looks_like_a_table
-from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
 MESSAGES = {

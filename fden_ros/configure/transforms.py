@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from fden_ros.core.arrays import Array
 from fden_ros.core.streams import chain_up
 from fden_ros.errors import InputError
-from fden_ros.ros.inputs import stamp_ns
+from fden_ros.inputs import stamp_ns
 
 
 class Path(NamedTuple):

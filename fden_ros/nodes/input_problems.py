@@ -14,7 +14,7 @@ from rclpy.subscription import Subscription
 
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import Reason
-from fden_ros.ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
+from fden_ros.inputs import TRANSFORM_TOPICS, TYPE_NAMES, Inputs
 from fden_ros.ros.messages import type_name
 
 #: Other topics that are named where nothing publishes the one that is listened to, at most.

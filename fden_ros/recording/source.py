@@ -16,6 +16,16 @@ from typing import Any, TypeAlias
 from fden_ros.core.arrays import Array
 from fden_ros.core.streams import Sink
 from fden_ros.errors import Hint, InputError
+from fden_ros.inputs import (
+    DAMAGED,
+    TRANSFORM_TOPICS,
+    TRANSFORMS,
+    TYPE_NAMES,
+    Inputs,
+    NumberOrVector,
+    stamp_ns,
+    stream_of,
+)
 from fden_ros.parameters import Parameters, frames_config, moves_probe
 from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.candidates import hint_of
@@ -31,16 +41,6 @@ from fden_ros.recording.topics import (
     find_topic,
     is_commanded,
     topic_with_messages,
-)
-from fden_ros.ros.inputs import (
-    DAMAGED,
-    TRANSFORM_TOPICS,
-    TRANSFORMS,
-    TYPE_NAMES,
-    Inputs,
-    NumberOrVector,
-    stamp_ns,
-    stream_of,
 )
 
 _ALWAYS = ("force", "displacement")

@@ -9,10 +9,10 @@ import re
 from collections.abc import Collection, Sequence
 
 from fden_ros.errors import InputError
+from fden_ros.inputs import TRANSFORMS, TYPE_NAMES
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import topic_named
-from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
 
 # Words in a topic's name: what it most likely carries.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
