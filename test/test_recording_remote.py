@@ -113,7 +113,7 @@ def held(place: str | Path) -> list[Any]:
     if not looks_like_a_table(place):
         return list(BagReader(place).messages())
     source = open_source(place, check({}), Selection(from_touch=False))
-    return [source.inputs, *source._table.rows()]
+    return [source.inputs, *(column.tolist() for column in source.columns)]
 
 
 @pytest.mark.parametrize(

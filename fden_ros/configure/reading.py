@@ -27,7 +27,7 @@ from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
 from fden_ros.recording.headings import Heading
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import BagSource, Selection
-from fden_ros.recording.table import Column, TableReader, stated_columns
+from fden_ros.recording.table import Column, TableReader
 from fden_ros.recording.text import looks_like_a_table
 
 #: Message types by the name that `force.message` and `displacement.message` have for them.
@@ -111,8 +111,8 @@ def read(
 
 
 def _read_table(path: Path, selection: Selection) -> Reading:
-    columns = selection.columns or stated_columns(path)
-    table = TableReader(path, columns, selection.where)
+    table = TableReader(path, selection.columns, selection.where)
+    columns = table.columns
     stamps, forces, places = table.stamps, table.force[:, None], table.displacement[:, None]
     good = np.isfinite(np.hstack([forces, places]))
     least = int(good.sum(axis=0).min())

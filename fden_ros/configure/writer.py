@@ -18,6 +18,7 @@ from fden_ros.errors import InputError
 from fden_ros.parameters import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS, PARAMETERS, Value
 from fden_ros.recording.source import SELECTION_LINE, Selection
 from fden_ros.recording.table import stated_columns
+from fden_ros.recording.text import layout_of
 
 _WIDTH = 95
 #: Units in which a person reads the values.
@@ -167,7 +168,7 @@ def _chosen(reading: Reading) -> list[str]:
 def _said(reading: Reading) -> str | None:
     """Return the columns that the headings of a table say by themselves."""
     try:
-        return str(stated_columns(reading.path))
+        return str(stated_columns(layout_of(reading.path)))
     except InputError:
         return None
 

@@ -208,20 +208,18 @@ def read_table(path: str | Path) -> Table:
     """
     path = Path(path)
     layout: Layout = layout_of(path)
-    names = layout.headings
-    if not names or all(map(is_number, names)):
+    names = [heading.text for heading in layout.headings]
+    if not any(names) or all(map(is_number, names)):
         raise InputError(f"{path} has a line of numbers where it must have the column names")
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled is not None:
         raise InputError(f"{path}: there are two columns {doubled}; keep one")
     if not layout.lines:
         raise InputError(f"{path} has names but no rows of numbers")
-    units = (*layout.units, *[""] * len(names))
-    headings = tuple(Heading(*one) for one in zip(names, units, strict=False))
-    wanted = sorted({index for name in UNITS for index, _ in _places(headings, name)})
+    wanted = sorted({index for name in UNITS for index, _ in _places(layout.headings, name)})
     values, lines, _ = layout.numbers(wanted)
     columns = {index: values[:, place] for place, index in enumerate(wanted)}
-    return Table(path, headings, columns, tuple(number for number, _ in lines))
+    return Table(path, layout.headings, columns, tuple(number for number, _ in lines))
 
 
 def csv_files(folder: str | Path) -> list[Path]:

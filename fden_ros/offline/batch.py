@@ -148,9 +148,9 @@ def _is_table(path: Path) -> bool:
         layout = layout_of(path)
     except InputError:
         return not is_text
-    if layout.headings[: len(_BAG_COLUMNS)] == tuple(_BAG_COLUMNS):
+    if [heading.text for heading in layout.headings[: len(_BAG_COLUMNS)]] == list(_BAG_COLUMNS):
         return False
-    numbers = sum(layout.holds_numbers(index) for index in range(layout.width))
+    numbers = sum(layout.holds_numbers(index) for index in range(len(layout.headings)))
     return not is_text or numbers > 1
 
 

@@ -95,12 +95,6 @@ def read_parameter_files(paths: Iterable[str | Path], node: str = NODE) -> Param
     paths : iterable of path
     node : str
         Its name, with its namespace: ``/arm/identifier``.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, has no section for the node, or holds in it an unknown name or a
-        value that is not allowed.
     """
     values: dict[str, object] = {}
     parameters = Parameters()
@@ -115,13 +109,7 @@ def read_parameter_files(paths: Iterable[str | Path], node: str = NODE) -> Param
 
 
 def values_for(sections: list[Section], node: str) -> dict[str, object]:
-    """Return the values of the sections that are for `node`.
-
-    Raises
-    ------
-    InputError
-        If none is.
-    """
+    """Return the values of the sections that are for `node`."""
     chosen = [section.values for section in sections if section.is_for(node)]
     if not chosen:
         named = ", ".join(dict.fromkeys(_qualified(section.node) for section in sections))
@@ -133,13 +121,7 @@ def values_for(sections: list[Section], node: str) -> dict[str, object]:
 
 
 def read_sections(path: str | Path) -> list[Section]:
-    """Return every section of a parameter file, in its order.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is no parameter file.
-    """
+    """Return every section of a parameter file, in its order."""
     try:
         content = parse_yaml(Path(path).read_text(encoding="utf-8"))
         if not isinstance(content, Mapping):
@@ -188,13 +170,7 @@ def _leaves(tree: Mapping[object, object], prefix: str) -> Iterator[tuple[str, o
 
 
 def check_types(name: str, value: object) -> None:
-    """Refuse a list that ROS 2 does not read: of values of several types.
-
-    Raises
-    ------
-    InputError
-        In one line that says how to write it.
-    """
+    """Refuse a list that ROS 2 does not read: of values of several types."""
     if isinstance(value, list) and len({type(v) for v in value}) > 1:
         hint = ""
         if all(type(v) in (int, float) for v in value):

@@ -61,13 +61,7 @@ class Parameter:
         return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
 
     def check(self, value: object) -> Value:
-        """Return `value` in the parameter's type.
-
-        Raises
-        ------
-        InputError
-            If it is of another type or not allowed.
-        """
+        """Return `value` in the parameter's type."""
         default = self.default
         if isinstance(default, bool) or isinstance(value, bool):
             if isinstance(default, bool) and isinstance(value, bool):

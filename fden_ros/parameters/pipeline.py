@@ -27,14 +27,7 @@ def unit_vector(values: Sequence[float]) -> Vector:
 
 
 def pipeline_config(parameters: Parameters) -> PipelineConfig:
-    """Return the core's configuration for checked parameters.
-
-    Raises
-    ------
-    InputError
-        If the tissue library cannot be read, or is in other units than the estimates, a friction
-        is given without a deviation, or several frequencies of a palpation.
-    """
+    """Return the core's configuration for checked parameters."""
     core, geometry = parameters.core, parameters.geometry.build()
     if core.is_continuous and len(core.dither_frequencies) > 1:
         raise InputError(
@@ -68,13 +61,7 @@ def uncertainty_of(parameters: Parameters) -> Uncertainty:
 
 
 def frames_config(parameters: Parameters) -> FramesConfig | None:
-    """Return which frames count; None where no transform is used.
-
-    Raises
-    ------
-    InputError
-        If a frame is missing.
-    """
+    """Return which frames count; None where no transform is used."""
     base, probe = parameters.frames.base, parameters.frames.probe
     by_transform = moves_probe(parameters)
     if by_transform and not (base and probe):

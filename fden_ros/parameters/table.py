@@ -167,13 +167,7 @@ class Parameters:
         return {leaf.metadata["name"]: _plain(value) for leaf, value in _leaves(self)}
 
     def changed(self, values: Mapping[str, object]) -> Parameters:
-        """Return these parameters with others in place of some.
-
-        Raises
-        ------
-        InputError
-            As :func:`check`.
-        """
+        """Return these parameters with others in place of some."""
         return _changed(self, {name: parameter_named(name).check(v) for name, v in values.items()})
 
 
@@ -226,13 +220,7 @@ _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
 
 def check(values: Mapping[str, object]) -> Parameters:
-    """Return all parameters: `values` checked, the others at their defaults.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, a value not allowed, or the radius of a kind that needs one missing.
-    """
+    """Return all parameters: `values` checked, the others at their defaults."""
     found = Parameters().changed(values)
     geometry = found.geometry
     if geometry.kind in _WITH_RADIUS and not geometry.radius:
@@ -243,13 +231,7 @@ def check(values: Mapping[str, object]) -> Parameters:
 
 
 def parameter_named(name: str) -> Parameter:
-    """Return the parameter of a name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the line names the nearest.
-    """
+    """Return the parameter of a name."""
     if name in _BY_NAME:
         return _BY_NAME[name]
     near = difflib.get_close_matches(name, [*_BY_NAME, *_NODE_BY_NAME], n=1, cutoff=0.4)
@@ -258,13 +240,7 @@ def parameter_named(name: str) -> Parameter:
 
 
 def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that are the identification's; those of the node alone are checked.
-
-    Raises
-    ------
-    InputError
-        If one of the node's is not allowed.
-    """
+    """Return the values that are the identification's; those of the node alone are checked."""
     own: dict[str, object] = {}
     for name, value in values.items():
         if name in _NODE_BY_NAME:

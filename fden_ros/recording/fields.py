@@ -32,11 +32,6 @@ class FieldPath:
     ----------
     text : str
         Names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``.
-
-    Raises
-    ------
-    InputError
-        If `text` is no path.
     """
 
     text: str
@@ -94,13 +89,7 @@ def as_number_or_vector(value: Any) -> float | Vector | None:
 
 
 def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the function that decodes a topic's messages, by the definition that the bag carries.
-
-    Raises
-    ------
-    InputError
-        If the bag carries no definition that can be read, and none is known.
-    """
+    """Return what decodes a topic's messages, by the definition that the bag carries."""
     types = None
     if topic.definition:
         with contextlib.suppress(InputError):

@@ -19,7 +19,6 @@ from fden_ros.errors import InputError
 from fden_ros.recording.bag_files import (
     MAGIC,
     BagFile,
-    DamageError,
     RawMessage,
     Topic,
     read_mcap,
@@ -39,13 +38,7 @@ _EXPECTED = "give a bag folder, or an .mcap, .db3 or .bag file"
 
 
 def topic_named(where: str, present: Sequence[Topic], name: str) -> Topic:
-    """Return the topic called `name`, with or without the leading slash.
-
-    Raises
-    ------
-    InputError
-        When there is none; the line says `where`.
-    """
+    """Return the topic called `name`, with or without the leading slash."""
     for topic in present:
         if topic.name in (name, f"/{name}"):
             return topic
@@ -63,11 +56,6 @@ class BagReader:
     path
         A folder with the files of a bag, or one: ``.mcap``, ``.db3`` (sqlite3) or ``.bag`` (ROS 1,
         whose messages come in ROS 2's encoding).
-
-    Raises
-    ------
-    InputError
-        When the path is missing, empty, damaged or no bag.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -77,8 +65,6 @@ class BagReader:
         with reached(self.path):
             self._files = [self._open(file) for file in self._find_files()]
         self._files.sort(key=lambda file: file.start_ns or 0)
-        for file in self._files:
-            self._warnings += file.warnings
         self._topics = _joined(self._files)
         if not self._topics:
             raise self._without_topics()
@@ -91,7 +77,7 @@ class BagReader:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the bag, a line each; damage joins where it is read."""
-        return tuple(self._warnings)
+        return (*self._warnings, *(line for file in self._files for line in file.warnings))
 
     @property
     def message_count(self) -> int:
@@ -108,16 +94,6 @@ class BagReader:
         """Time of recording of the last message (ns since the epoch); None without messages."""
         return max((f.end_ns for f in self._files if f.end_ns is not None), default=None)
 
-    def topic(self, name: str) -> Topic:
-        """Return the topic called `name`, with or without the leading slash.
-
-        Raises
-        ------
-        InputError
-            When the bag has no such topic.
-        """
-        return topic_named(str(self.path), self._topics, name)
-
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages by time of recording; those of one time in the order of the file.
 
@@ -125,14 +101,11 @@ class BagReader:
         ----------
         topics
             Names of the topics wanted; all when None.
-
-        Raises
-        ------
-        InputError
-            When a topic is not in the bag.
         """
-        names = [topic.name for topic in self._topics] if topics is None else topics
-        return self._merged(frozenset(self.topic(name).name for name in names))
+        if topics is None:
+            return self._merged([topic.name for topic in self._topics])
+        where = str(self.path)
+        return self._merged([topic_named(where, self._topics, name).name for name in topics])
 
     def _merged(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of the files, of which those that overlap are open at once."""
@@ -141,16 +114,8 @@ class BagReader:
             group = [files.pop(0)]
             while files and (files[0].start_ns or 0) <= max(file.end_ns or 0 for file in group):
                 group.append(files.pop(0))
-            streams = [self._stream(file, wanted) for file in group]
+            streams = [file.messages(wanted) for file in group]
             yield from heapq.merge(*streams, key=lambda message: message.log_time_ns)
-
-    def _stream(self, file: BagFile, wanted: Collection[str]) -> Iterator[RawMessage]:
-        try:
-            yield from file.messages(wanted)
-        except DamageError as error:
-            warning = f"{file.path.name} is damaged: the rest of it is lost ({error})"
-            if warning not in self._warnings:
-                self._warnings.append(warning)
 
     # Finding and opening the files
 
@@ -253,13 +218,7 @@ def _joined(files: Sequence[BagFile]) -> tuple[Topic, ...]:
 
 
 def decode(message: RawMessage) -> Any:
-    """Return a message decoded.
-
-    Raises
-    ------
-    InputError
-        When its type is not known or its bytes do not fit the type.
-    """
+    """Return a message decoded."""
     decoded = decoder(message.type_name)
     try:
         return decoded(message.data)

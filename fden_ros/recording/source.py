@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -34,7 +35,7 @@ from fden_ros.recording.machine import machine_values
 from fden_ros.recording.places import called, copied, is_remote, place, reached
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.stamps import LOOKED_AT, carried_stamp, problems
-from fden_ros.recording.table import Columns, TableReader, stated_columns
+from fden_ros.recording.table import Columns, TableReader
 from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.topics import (
     NoTopicError,
@@ -74,13 +75,7 @@ def is_table(path: str | Path, selection: Selection | None) -> bool:
 def open_source(
     path: str | Path, parameters: Parameters, selection: Selection | None = None
 ) -> Source:
-    """Return the recording at `path`.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or it is not clear what in it is force and displacement.
-    """
+    """Return the recording at `path`."""
     chosen = selection or Selection()
     if is_table(path, chosen):
         return _open_table(place(path), parameters, chosen)
@@ -90,27 +85,41 @@ def open_source(
     return BagSource(path, parameters, chosen)
 
 
-def _open_table(path: Path, parameters: Parameters, selection: Selection) -> TableSource:
-    """Return a table, or a copy of one at a URL, since it is read more than once."""
-    folder = TemporaryDirectory(prefix="fden_") if is_remote(path) else None
-    with reached(path):
-        here = copied(path, folder.name) if folder is not None else path
-    with called(here, path):
-        columns = selection.columns or stated_columns(here)
-        source = TableSource(here, parameters, replace(selection, columns=columns))
-    source.folder = folder
-    return source
+def _open_table(path: Path, parameters: Parameters, selection: Selection) -> RowSource:
+    for name, is_set, what in (
+        ("tool.mass", bool(parameters.tool.mass), "the tool's orientation"),
+        ("displacement.along_tool", parameters.displacement.along_tool, "the same"),
+        ("frames.base", bool(parameters.frames.base), "transforms"),
+    ):
+        if is_set:
+            raise InputError(
+                f"{name} asks for {what}, which a table does not hold: unset it, or replay a bag"
+            )
+    with TemporaryDirectory(prefix="fden_") as folder:
+        with reached(path):
+            here = copied(path, folder) if is_remote(path) else path
+        with called(here, path):
+            table = TableReader(here, selection.columns, selection.where)
+            found = machine_values(table, parameters, selection.from_touch)
+    columns = table.columns
+    values, set_by_recording, questions = found
+    return RowSource(
+        (table.stamps, table.force, table.displacement),
+        parameters.changed(values) if values else parameters,
+        {
+            "force": table.named(columns.force),
+            "displacement": table.named(columns.displacement),
+            "time": table.named(columns.time),
+        },
+        (*table.warnings, *questions),
+        set_by_recording,
+    )
 
 
 class BagSource:
     """A bag whose topics of force and displacement are known.
 
     It can be fed into a pipeline, once.
-
-    Raises
-    ------
-    InputError
-        As :func:`open_source`.
     """
 
     set_by_recording: tuple[str, ...] = ()
@@ -325,94 +334,48 @@ class BagSource:
             self._notes.append(text)
 
 
-class TableSource:
-    """A table with columns of time, force and displacement.
+@dataclass(frozen=True, eq=False)
+class RowSource:
+    """A table, or arrays, fed row by row.
 
-    Raises
-    ------
-    InputError
-        As :func:`open_source`.
+    Parameters
+    ----------
+    columns : tuple of ndarray
+        Stamps [ns], force [N] and displacement [m], shape (n,) each; NaN where a row has none.
+    parameters : Parameters
+        With what the table says or needs.
+    inputs : dict
+        Column of each quantity.
+    warnings : tuple of str
+        What is wrong with it, or is to be stated.
+    set_by_recording : tuple of str
+        What of the parameters the table says, a line each.
     """
 
-    frame = displacement_frame = ""
-    folder: TemporaryDirectory[str] | None = None  #: of a copy, which lives as long as this
-
-    def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
-        assert selection.columns is not None
-        for name, is_set, what in (
-            ("tool.mass", bool(parameters.tool.mass), "the tool's orientation"),
-            ("displacement.along_tool", parameters.displacement.along_tool, "the same"),
-            ("frames.base", bool(parameters.frames.base), "transforms"),
-        ):
-            if is_set:
-                raise InputError(
-                    f"{name} asks for {what}, which a table does not hold: unset it, or replay a "
-                    "bag"
-                )
-        self._columns = selection.columns
-        self._table = TableReader(path, selection.columns, selection.where)
-        values, self.set_by_recording, questions = machine_values(
-            self._table, parameters, selection.from_touch
-        )
-        #: What was wrong with the table, or is to be stated.
-        self.warnings = (*self._table.warnings, *questions)
-        #: The parameters, with what the table says or needs.
-        self.parameters = parameters.changed(values) if values else parameters
+    columns: tuple[Any, Array, Array]
+    parameters: Parameters
+    inputs: dict[str, str]
+    warnings: tuple[str, ...] = ()
+    set_by_recording: tuple[str, ...] = ()
+    frame: str = ""
+    displacement_frame: str = ""
 
     @property
     def total(self) -> int:
         """Rows."""
-        return int(self._table.stamps.size)
-
-    @property
-    def inputs(self) -> dict[str, str]:
-        """Column of each quantity."""
-        columns = {
-            "force": self._columns.force,
-            "displacement": self._columns.displacement,
-            "time": self._columns.time,
-        }
-        return {stream: self._table.named(column) for stream, column in columns.items()}
+        return int(self.columns[0].size)
 
     def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed the rows in the order of the file."""
+        """Feed the rows in their order."""
         inputs = Inputs(self.parameters, sink)
-        for done, row in enumerate(self._table.rows(), start=1):
-            before(row.stamp_ns, None)
-            if row.displacement is not None:
-                inputs.add_displacement("", row.stamp_ns, row.displacement)
-            if row.force is not None:
-                inputs.add_force("", row.stamp_ns, row.force)
-            yield done
-
-
-class ArraySource:
-    """Arrays of stamps [ns], force [N] and displacement [m], shape (n,), fed as rows are."""
-
-    frame = displacement_frame = ""
-    warnings = set_by_recording = ()
-
-    def __init__(
-        self, stamps: Any, forces: Array, displacements: Array, parameters: Parameters
-    ) -> None:
-        self.parameters = parameters
-        self.inputs = {name: f"array {name}" for name in _ALWAYS}
-        self._rows = stamps.tolist(), forces.tolist(), displacements.tolist()
-
-    @property
-    def total(self) -> int:
-        """Samples."""
-        return len(self._rows[0])
-
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed the samples in their order."""
-        inputs = Inputs(self.parameters, sink)
-        rows = zip(*self._rows, strict=True)
+        rows = zip(*(column.tolist() for column in self.columns), strict=True)
         for done, (stamp, force, displacement) in enumerate(rows, start=1):
             before(stamp, None)
-            inputs.add_displacement("", stamp, displacement)
-            inputs.add_force("", stamp, force)
+            if not math.isnan(displacement):
+                inputs.add_displacement("", stamp, displacement)
+            if not math.isnan(force):
+                inputs.add_force("", stamp, force)
             yield done
 
 
-Source: TypeAlias = BagSource | TableSource | ArraySource
+Source: TypeAlias = BagSource | RowSource

@@ -50,11 +50,6 @@ def find_topic(
         ``force`` or ``displacement``.
     others : collection of Topic
         The topics of the other quantities, which are no candidates.
-
-    Raises
-    ------
-    InputError
-        If there is none, several, or one of a type that cannot be read; the line lists them.
     """
     usable = TYPE_NAMES[stream].values()
     if name is not None:
@@ -85,13 +80,7 @@ def find_topic(
 
 
 def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topic:
-    """Return the topic called `name`.
-
-    Raises
-    ------
-    InputError
-        If there is none, or nothing was recorded on it; the line says `where`.
-    """
+    """Return the topic called `name`."""
     topic = topic_named(where, present, name)
     if not topic.message_count:
         raise InputError(

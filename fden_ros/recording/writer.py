@@ -37,11 +37,6 @@ class BagWriter:
         The bag folder to make; its parent is made too.
     overwrite
         Replace a bag that is there already. Only a bag is ever replaced, or an empty folder.
-
-    Raises
-    ------
-    InputError
-        When the target exists (and is not to be, or must not be, replaced) or cannot be written.
     """
 
     def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -95,11 +90,6 @@ class BagWriter:
             Message type, such as ``geometry_msgs/msg/WrenchStamped``.
         *offered_qos
             What the publishers offer; `RELIABLE` when nothing is given.
-
-        Raises
-        ------
-        InputError
-            When the type is not known, or the topic is there already.
         """
         type_name = full_type_name(type_name)
         if topic in self._topics:
@@ -122,11 +112,6 @@ class BagWriter:
             The message, or its CDR bytes.
         stamp_ns
             Time of recording (ns since the epoch), by which bags are ordered.
-
-        Raises
-        ------
-        InputError
-            When the topic is not declared or the disk is full.
         """
         if topic not in self._topics:
             raise InputError(f"topic {topic} is not in the bag: declare it with add_topic first")
