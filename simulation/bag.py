@@ -17,8 +17,7 @@ from std_msgs.msg import String
 from fden_ros.errors import InputError
 from fden_ros.recording.message_types import message_class
 from fden_ros.recording.qos import LATCHED, RELIABLE
-from fden_ros.recording.reader import BagReader
-from fden_ros.recording.truth import TRUTH_TOPIC, TRUTH_TYPE
+from fden_ros.recording.reader import TRUTH_TOPIC, TRUTH_TYPE, BagReader
 from fden_ros.recording.writer import BagWriter
 from simulation.simulate import Recording, Stream
 

@@ -513,8 +513,8 @@ def bag_of(kind: str, folder: Path, messages: Messages) -> Path:
 
 #: Header stamps of the force by time of recording, and what is said of them.
 STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
-    "zero": (lambda time_ns: 0, "all header stamps of /force are 0"),
-    "still": (lambda time_ns: START, "all header stamps of /force are the same"),
+    "zero": (lambda time_ns: 0, "120 of the first 120 header stamps of /force are 0"),
+    "still": (lambda time_ns: START, "only 1 of the first 120 header stamps of /force differ"),
     "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
     "late by less than a second": (
         lambda time_ns: time_ns - 400_000_000,

@@ -34,8 +34,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.parameters import PARAMETERS
-from fden_ros.recording.reader import BagReader
-from fden_ros.recording.truth import read_truth
+from fden_ros.recording.reader import BagReader, read_truth
 from simulation.bag import PARAMETER_FILE, write_recording
 from simulation.scenario import load_scenario
 from simulation.simulate import simulate

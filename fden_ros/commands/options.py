@@ -86,7 +86,7 @@ def _columns(text: str) -> Any:
 
 def _size(text: str, quantity: str = "displacement") -> float:
     """Return a size in SI units, from a number with or without its unit."""
-    from fden_ros.recording.units import factor_of
+    from fden_ros.recording.headings import factor_of
 
     match = re.fullmatch(r"\s*([\d.]+(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?", text)
     factor = factor_of(quantity, match[2] or ("m2" if quantity == "area" else "m")) if match else 0

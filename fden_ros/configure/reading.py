@@ -23,7 +23,7 @@ from fden_ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
 from fden_ros.parameters import FORCES, PLACES, check
 from fden_ros.progress import progress
 from fden_ros.recording.bag_files import Topic
-from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.fields import FieldPath, decoder_of
 from fden_ros.recording.headings import Heading
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import BagSource, Selection
@@ -195,7 +195,7 @@ class _Stream:
         if self._kind is not None and self._kind.torque:
             torque = attrgetter(self._kind.torque)(message)
             self.torques.append((torque.x, torque.y, torque.z))
-        turn = self._path.orientation_beside(message) if self._path is not None else None
+        turn = self._path.orientation(message) if self._path is not None else None
         if self.name == "displacement" and turn is not None:
             self.turns.append(turn)
 
@@ -205,10 +205,10 @@ class _Stream:
             self.joints = self.joints or tuple(message.name)
             same = tuple(message.name) == self.joints and len(values) >= len(self.joints) > 0
             return tuple(float(v) for v in values[: len(self.joints)]) if same else None
-        found = as_number_or_vector(self._path.of(message))
-        if found is None:
-            text = f"{self.topic.name}: {self._path.text} is neither a number nor a vector"
-            raise InputError(text)
+        try:
+            found = self._path.number_or_vector(message)
+        except InputError as error:
+            raise InputError(f"{self.topic.name}: {error}") from None
         return (found,) if isinstance(found, float) else found
 
 

@@ -18,7 +18,7 @@ from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Session
 from fden_ros.core.law import Geometry
-from fden_ros.recording.units import UNITS
+from fden_ros.recording.headings import UNITS
 from fden_ros.written import written
 
 #: Units that a recording may be in where it states none.

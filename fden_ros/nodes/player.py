@@ -16,7 +16,7 @@ from fden_ros.inputs import TYPE_NAMES
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.message_types import message_class, type_hash
 from fden_ros.recording.qos import RELIABLE
-from fden_ros.recording.reader import BagReader, topic_named
+from fden_ros.recording.reader import BagReader
 from fden_ros.ros.plain_node import plain_node
 
 _INPUT_TYPES = {*TYPE_NAMES["force"].values(), *TYPE_NAMES["displacement"].values()}
@@ -54,9 +54,7 @@ def play(
     InputError
         If there is nothing to play, or nobody listens.
     """
-    where, names = str(bag.path), {}
-    for old, new in (remap or {}).items():
-        names[topic_named(where, bag.topics, old).name] = new
+    names = {bag.topic(old).name: new for old, new in (remap or {}).items()}
     topics = [topic for topic in bag.topics if topic.message_count and not problem_of(topic)]
     if not topics:
         raise InputError(f"{bag.path} holds no message to play: choose another bag")

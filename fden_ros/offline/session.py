@@ -28,9 +28,8 @@ from fden_ros.offline.replay import Replay, replay
 from fden_ros.offline.signals import Envelope, signals_of
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.places import place
-from fden_ros.recording.reader import BagReader
+from fden_ros.recording.reader import BagReader, read_truth
 from fden_ros.recording.source import Selection, is_table, open_source
-from fden_ros.recording.truth import read_truth
 
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60

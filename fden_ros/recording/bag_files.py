@@ -97,23 +97,11 @@ class BagFile:
                 self.warnings.append(warning)
 
     def add(self, topic: Topic) -> None:
-        """Add a topic, or the messages of another channel of it."""
+        """Add a topic, or another channel of one."""
         try:
-            topic = replace(topic, type_name=full_type_name(topic.type_name))
+            self.topics.append(replace(topic, type_name=full_type_name(topic.type_name)))
         except InputError as error:
             self.warnings.append(f"topic {topic.name} is not used: {error}")
-            return
-        same = next((one for one in self.topics if one.name == topic.name), None)
-        if same is None:
-            self.topics.append(topic)
-            return
-        if same.type_name != topic.type_name:
-            raise InputError(
-                f"{self.path}: topic {topic.name} has two types, {same.type_name} and "
-                f"{topic.type_name}: record it anew"
-            )
-        count = same.message_count + topic.message_count
-        self.topics[self.topics.index(same)] = replace(same, message_count=count)
 
 
 def _from_ros1(topic: Topic) -> Callable[[bytes], Any]:
@@ -178,10 +166,18 @@ def scan_mcap(path: Path) -> BagFile:
             known = [time for time in times if time is not None]
             file.start_ns, file.end_ns = min(known), max(known)
         is_complete = isinstance(record, Footer)
+    if not (is_complete or channels):
+        raise cut_short(path)
     if not is_complete:
         used = f"the {counts.total()} messages before that are used"
         file.warnings.append(f"{path.name} is cut off or damaged: {used}")
     return _with_channels(file, channels.values(), schemas, counts)
+
+
+def cut_short(path: Path) -> InputError:
+    """Return what is wrong with a file that holds too little."""
+    size = path.stat().st_size
+    return InputError(f"{path} is cut off before its first topic, at {size} bytes: copy it anew")
 
 
 def _records(path: Path) -> Iterator[Any]:

@@ -106,15 +106,9 @@ def type_hash(type_name: str, types: Typestore | None = None) -> str:
 
 
 def decoder(type_name: str, types: Typestore | None = None) -> Callable[[bytes], Any]:
-    """Return what makes a message of its CDR bytes.
+    """Return what makes a message of its CDR bytes, by the types that a bag carries or known ones.
 
     It raises an error of whatever kind for bytes that do not fit.
-
-    Parameters
-    ----------
-    type_name : str
-    types : Typestore, optional
-        As a bag carries them; None: those that are known.
     """
     store: Any = types or known_types(type_name)
     kind = store.get_msgdef(type_name)

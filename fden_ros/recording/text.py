@@ -26,9 +26,8 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.recording.foreign import reason_of
-from fden_ros.recording.headings import Heading
+from fden_ros.recording.headings import BRACKETED, Heading, is_unit
 from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
-from fden_ros.recording.units import BRACKETED, is_unit
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 _WORKBOOKS = (".xlsx", ".xls", ".ods")
@@ -216,18 +215,12 @@ class Layout:
 
 
 def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
-    """Return how a table is written.
-
-    Parameters
-    ----------
-    path : path
-    names : iterable of str
-        Headings that the table must have: their line is that of the headings.
-    """
+    """Return how a table is written; a line with all `names` is that of the headings."""
     path = place(path)
     numbered = enumerate(re.split("\r\n|\r|\n", _text(path)), start=1)
-    every = [(number, line) for number, line in numbered if line.strip(_BLANK)]
-    lines = [(number, line) for number, line in every if not is_comment(line)]
+    lines = [(number, line) for number, line in numbered if line.strip(_BLANK)]
+    comments = [line.lstrip("# \t") for _, line in lines if line.lstrip().startswith("#")]
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
     if not lines:
         raise InputError(f"{path} is empty: expected a table of comma-separated values")
     for most in (_HEAD_LINES, _MOST_LINES):
@@ -249,9 +242,13 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
         _check_above(path, lines[first], table[:first], width, 0)
     sample = tuple(map(tuple, table[begin:]))
     top = lines[begin - 1][0] if begin else 0
-    comments = [line.lstrip("# \t") for number, line in every if is_comment(line)]
     preamble = [line for _, line in lines[: begin if heading is None else heading]]
-    _check_width(path, headings, sample)
+    most = max((sum(map(bool, row)) for row in sample), default=0)
+    if headings and most > len(headings):
+        raise InputError(
+            f"{path} has rows of {most} cells below {len(headings)} headings: name every column; "
+            "between decimal commas write semicolons"
+        )
     columns = range(max((len(headings), *map(len, sample))))
     return Layout(
         path,
@@ -272,21 +269,11 @@ def looks_like_a_table(path: str | Path) -> bool:
         return not is_folder(path)
     if suffix.lower() in BAG_SUFFIXES or is_folder(path):
         return False
-    return (is_remote(path) or path.is_file()) and _begins_as_text(path)
-
-
-def _begins_as_text(path: Path) -> bool:
     try:
-        head = _bytes(path, 4096)
-        text = _decoded(path, head)
+        text = _decoded(path, _bytes(path, 4096)) if is_remote(path) or path.is_file() else ""
     except InputError:
         return False
     return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
-
-
-def is_comment(line: str) -> bool:
-    """Return whether a line is a comment."""
-    return line.lstrip().startswith("#")
 
 
 def is_clock(cell: str) -> bool:
@@ -420,15 +407,6 @@ def _check_above(
         raise InputError(
             f"{path}: {count} rows of numbers stand above line {line[0]} "
             f"({line[1].strip()[:_SHOWN]!r}), apart from the others: remove what is between them"
-        )
-
-
-def _check_width(path: Path, headings: Sequence[str], sample: Iterable[Sequence[str]]) -> None:
-    most = max((sum(map(bool, row)) for row in sample), default=0)
-    if headings and most > len(headings):
-        raise InputError(
-            f"{path} has rows of {most} cells below {len(headings)} headings: name every column; "
-            "between decimal commas write semicolons"
         )
 
 
