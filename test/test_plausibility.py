@@ -47,11 +47,12 @@ def identified(
     parameters: dict[str, object],
     outputs: list[Output] | None = None,
 ) -> Replay:
+    kept = [] if outputs is None else outputs
     return replay(
         recording,
         check(parameters),
         Selection(columns=Columns.parse(columns)),
-        on_output=None if outputs is None else lambda output, _frame: outputs.append(output),
+        on_output=lambda output, _frame: kept.append(output),
     )
 
 

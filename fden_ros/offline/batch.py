@@ -32,7 +32,6 @@ from fden_ros.errors import InputError
 from fden_ros.offline.parquet import write_parquet
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
-from fden_ros.offline.session import Innovations
 from fden_ros.offline.workers import SAME_VERSION, is_killed
 from fden_ros.parameters import Parameters
 from fden_ros.recording.places import NOT_REACHED, exists, is_folder, is_remote, place, reached
@@ -180,12 +179,13 @@ def _row(bag: str, configuration: str) -> Row:
 
 
 def _identify(row: Row, work: Work) -> list[Row]:
-    innovations: defaultdict[int, Innovations] = defaultdict(Innovations)
+    squares: defaultdict[int, list[float]] = defaultdict(lambda: [0.0, 0])
     times: list[int] = []
 
     def see(output: Output, frame: str) -> None:
         if isinstance(output, TissueState) and output.innovation is not None:
-            innovations[output.contact_id].add(output.innovation)
+            sums = squares[output.contact_id]
+            sums[:] = sums[0] + output.innovation.normalized_squared, sums[1] + 1
 
     def tick(log_time_ns: int, *_: object) -> None:
         times[1:] = [log_time_ns]
@@ -199,7 +199,10 @@ def _identify(row: Row, work: Work) -> list[Row]:
         "contacts": len(result.summaries),
     }
     rows = [
-        row | contact_row(summary, innovations[summary.contact_id].mean_square)
+        row
+        | contact_row(
+            summary, sums[0] / sums[1] if (sums := squares.get(summary.contact_id)) else None
+        )
         for summary in result.summaries
     ]
     return rows or [row]

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import KEYS, Budget, Estimate
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes
+from fden_ros.core.streams import Pair
 from fden_ros.offline import thickness
-from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
+from fden_ros.offline.known import known_alone, known_stiffness
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.progress import progress as bar
 from fden_ros.recording.bag_files import RawMessage
@@ -52,26 +54,20 @@ class Replay:
     @property
     def has_identified(self) -> bool:
         """Whether a contact converged, or N/m or a slope is known, of one or on a path."""
-        if self.has_strokes:
-            return False
-        if any(s.converged or s.is_of_path for s in self.summaries):
-            return True
-        if self.is_air_doubted:
-            return False
-        return self.measured_unseen.loading is not None or any(
-            map(knows_stiffness, self.summaries)
-        )
+        if self.has_strokes or any(s.converged or s.is_of_path for s in self.summaries):
+            return not self.has_strokes
+        is_measured = self.measured_unseen.loading or any(map(known_stiffness, self.summaries))
+        return bool(is_measured) and not self.is_air_doubted
 
     @property
     def with_stiffness_alone(self) -> frozenset[int]:
-        """Numbers of the contacts of which N/m is known, and not G.
+        """Numbers of the contacts of which N/m or the slope is known, and not G.
 
         None where the force fell below its value in the air: then what is taken for a contact may
         be the air.
         """
-        if self.is_air_doubted:
-            return frozenset()
-        return frozenset(s.contact_id for s in self.summaries if knows_stiffness_alone(s))
+        summaries = () if self.is_air_doubted else self.summaries
+        return frozenset(s.contact_id for s in summaries if known_alone(s))
 
     @property
     def has_strokes(self) -> bool:
@@ -79,50 +75,61 @@ class Replay:
         return self.never_lifts and not any(s.converged for s in self.summaries)
 
 
-def replay(
-    bag: str | Path,
-    parameters: Parameters,
-    selection: Selection | None = None,
-    *,
-    progress: bool = False,
-    on_output: Callable[[Output, str], None] | None = None,
-    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
-) -> Replay:
-    """Run a recording through the pipeline.
+class _Watched(Pipeline):
+    """A pipeline that shows each pair of samples before it takes it."""
 
-    Parameters
-    ----------
-    bag : path
-        A bag, as :class:`~fden_ros.recording.reader.BagReader` reads, or a table.
-    parameters : Parameters
-        Of :func:`fden_ros.parameters.check`.
-    selection : Selection, optional
-        Topics, fields or columns; without it the only sensible topics of the bag.
-    progress : bool
-        Show a progress bar on standard error.
-    on_output : callable, optional
-        Called with every output and the frame of the force.
-    on_input : callable, optional
-        Called before each message or row with its time of recording (ns), the message or None,
-        and the pipeline.
+    def __init__(
+        self,
+        config: PipelineConfig,
+        emit: Callable[[Output], None],
+        on_pair: Callable[[Pair], None],
+    ) -> None:
+        self._show = on_pair
+        super().__init__(config, emit)
+
+    def _on_pair(self, pair: Pair) -> None:
+        self._show(pair)
+        super()._on_pair(pair)
+
+
+def replay(
+    bag: str | Path, parameters: Parameters, selection: Selection | None = None, **options: Any
+) -> Replay:
+    """Run a recording, a bag or a table, through the pipeline.
+
+    `selection` names topics, fields or columns; without it the only sensible ones are taken.
+    `options` are those of :func:`replay_source`.
 
     Raises
     ------
     InputError
         If the recording or its topics cannot be used.
     """
-    source = open_source(bag, parameters, selection)
-    return replay_source(source, progress=progress, on_output=on_output, on_input=on_input)
+    return replay_source(open_source(bag, parameters, selection), **options)
 
 
 def replay_source(
     source: Source,
     *,
     progress: bool = False,
-    on_output: Callable[[Output, str], None] | None = None,
-    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
+    on_output: Callable[[Output, str], None] = lambda output, frame: None,
+    on_input: Callable[[int, RawMessage | None, Pipeline], None] = lambda *_: None,
+    on_pair: Callable[[Pair], None] = lambda pair: None,
 ) -> Replay:
-    """Run what is read through the pipeline, as :func:`replay` does."""
+    """Run what is read through the pipeline.
+
+    Parameters
+    ----------
+    progress : bool
+        Show a progress bar on standard error.
+    on_output : callable
+        Called with every output and the frame of the force.
+    on_input : callable
+        Called before each message or row with its time of recording (ns), the message or None,
+        and the pipeline.
+    on_pair : callable
+        Called with every pair of force and displacement.
+    """
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:
@@ -132,14 +139,12 @@ def replay_source(
                 # The air after it has contradicted it.
                 summaries.pop()
             summaries.append(output)
-        if on_output is not None:
-            on_output(output, source.frame)
+        on_output(output, source.frame)
 
     def before(log_time_ns: int, message: RawMessage | None) -> None:
-        if on_input is not None:
-            on_input(log_time_ns, message, pipeline)
+        on_input(log_time_ns, message, pipeline)
 
-    pipeline = Pipeline(pipeline_config(source.parameters), keep)
+    pipeline = _Watched(pipeline_config(source.parameters), keep, on_pair)
     with bar("replaying", source.total, visible=progress) as show:
         for done in source.feed(pipeline, before):
             if done % _PROGRESS_STEP == 0:

@@ -19,8 +19,8 @@ from fden_ros.control import Cause, Refusal
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.offline.advice import against_the_law
-from fden_ros.offline.known import knows_stiffness_alone
-from fden_ros.report.numbers import DASH, law, stiffness
+from fden_ros.offline.known import known_alone
+from fden_ros.report.numbers import DASH, law, slope_words, stiffness
 from fden_ros.report.table import contact_table
 from fden_ros.written import written
 
@@ -59,13 +59,12 @@ def monitor_view(view: MonitorView) -> Group:
     ]
     if view.summaries:
         shown = view.summaries[-_LAST_CONTACTS:]
-        alone = {s.contact_id for s in shown if knows_stiffness_alone(s)}
+        alone = {s.contact_id for s in shown if known_alone(s)}
         parts.append(contact_table(shown, alone))
-        parts += [
-            Text(f"contact {s.contact_id}: N/m known; G and Gn not: {against_the_law(s)}")
-            for s in shown[-1:]
-            if s.contact_id in alone
-        ]
+        last = shown[-1]
+        if last.contact_id in alone:
+            known = f"contact {last.contact_id}: {known_alone(last)} known; G and Gn not"
+            parts.append(Text(f"{known}: {against_the_law(last)}"))
     return Group(*parts)
 
 
@@ -150,7 +149,7 @@ def _contact(state: TissueState) -> str:
         parts.append(f"{stiffness(found, 3)} N/m at {found.time_scale:g} s")
     measured = state.measured.loading
     if measured is not None:
-        parts.append(f"measured {stiffness(measured, 3)} N/m")
+        parts.append(f"slope {slope_words(measured)}")
     return ", ".join(parts)
 
 

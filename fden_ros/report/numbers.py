@@ -9,7 +9,7 @@ import math
 
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ApparentStiffness
-from fden_ros.core.stiffness import MeasuredSlope, Slopes
+from fden_ros.core.stiffness import MeasuredSlope
 from fden_ros.written import written
 
 DASH = "–"
@@ -88,6 +88,11 @@ def stiffness(found: ApparentStiffness | MeasuredSlope | None, most_digits: int 
     return DASH if found is None else result(found.value, found.sd, most_digits)
 
 
+def bracketed(text: str) -> str:
+    """Return a number as one that the data did not determine."""
+    return text if text == DASH or text.startswith("(") else f"({text})"
+
+
 def slope(found: MeasuredSlope | None) -> str:
     """Return a measured slope [N/m] and its depth [mm], to the first digit of its deviation."""
     if found is None:
@@ -96,19 +101,14 @@ def slope(found: MeasuredSlope | None) -> str:
     return written(found.value, max(1, min(digits, 4))) + _at(found, "")
 
 
+def slope_words(found: MeasuredSlope | None) -> str:
+    """Return a measured slope with its deviation, unit and depth; a dash where there is none."""
+    return DASH if found is None else f"{stiffness(found, 4)} N/m{_at(found, ' mm')}"
+
+
 def _at(found: MeasuredSlope, unit: str) -> str:
     """Return the depth of a slope in words; empty where it is not known."""
     return "" if math.isnan(found.depth) else f" at {written(1e3 * found.depth, 2)}{unit}"
-
-
-def measured_words(measured: Slopes) -> str:
-    """Return the measured slopes in words; empty where there is none."""
-    words = (
-        f"{stiffness(found, 4)} N/m {way}{_at(found, ' mm')}"
-        for way, found in zip(("loading", "unloading"), measured, strict=True)
-        if found is not None
-    )
-    return ", ".join(words)
 
 
 def law(estimate: Estimate | None) -> str:
