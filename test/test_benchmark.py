@@ -53,9 +53,6 @@ def one_process(monkeypatch):
     monkeypatch.setattr(harness, "PROCESSES", 1)
 
 
-# The command
-
-
 # Goals and tables
 
 
@@ -65,9 +62,7 @@ def one_process(monkeypatch):
         (1.05, (-math.inf, 1.1), None, True),
         (1.15, (-math.inf, 1.1), None, False),
         (1.05, (-math.inf, 1.1), (0.9, 1.2), None),
-        (1.05, (-math.inf, 1.1), (1.0, 1.09), True),
         (0.7, (0.9, 1.1), (0.6, 0.8), False),
-        (0.95, (0.9, math.inf), (0.91, 0.99), True),
         (math.nan, (0.9, 1.1), None, None),
     ],
 )
@@ -77,9 +72,6 @@ def test_goal_is_met_missed_or_undecided_by_its_interval(value, limits, interval
     assert goal.value is None if math.isnan(value) else goal.value == value
 
 
-# Scores
-
-
 def test_error_is_silent_unless_something_tells_of_it():
     off = (0.1, 0.0, 0.0)
     assert judged(off).is_silent
@@ -87,9 +79,6 @@ def test_error_is_silent_unless_something_tells_of_it():
     assert not judged(off, converged=False).is_silent
     for flag in (Flag.MODEL_MISMATCH, Flag.TISSUE_CHANGED, Flag.TOUCH_NOT_OBSERVED, Flag.GAP):
         assert not judged(off, flags=flag).is_silent
-
-
-# The bound
 
 
 def test_bound_of_a_ramp_below_the_boundary_strain_is_the_analytic_one():
@@ -177,15 +166,6 @@ def test_a_small_run_of_each_writes_its_figures(words, small, tmp_path, capsys):
     assert SMALL[words](figures)
 
 
-# Disturbed rigs
-
-
-# The law's own tissue
-
-
-# Recordings of others
-
-
 def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path):
     """Three springs between plates: what they are is their modulus, and their slope."""
     folder, generator = tmp_path / "others", np.random.default_rng(3)
@@ -209,32 +189,18 @@ def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path
     assert {"Kelvin-Voigt", "Hunt-Crossley", "force over depth"} < set(table)
 
 
-# Other laws
-
-
 def test_a_relaxation_that_ends_is_told_before_a_prediction_is_off():
     trial = laws.run_trial(("poroelastic_2", laws.RIGID), 0)
     assert trial.mismatch == Share(1, 1)
     assert all(p.refusal or p.inside > 0.9 for p in trial.predictions)
 
 
-# Changes
-
-SLIDE, INCLUSION = changes.CHANGES[:2]
-
-
 @pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))
-@pytest.mark.parametrize("row", first("flat_30", "sphere_30", "flat_100_arm"))
-def test_changes_are_reported_at_slow_rates_too(row, numbers):
-    for change in (SLIDE, INCLUSION):
-        delays = [changes.run_trial((row, change.name), number, {}) for number in numbers]
-        # With the open questions of an arm an inclusion of 1.5 is reported in half of them.
-        share = 0.5 if row.endswith("_arm") and change is INCLUSION else 0.75
-        least = share * len(numbers)
-        assert changes.reported_in(delays)["reported"].part >= least, change.name
-
-
-# Measured tests
+def test_changes_are_reported_at_slow_rates_too(numbers):
+    for change in changes.CHANGES[:2]:
+        delays = [changes.run_trial(("flat_30", change.name), number, {}) for number in numbers]
+        reported = changes.reported_in(delays)["reported"].part
+        assert reported >= 0.75 * len(numbers), change.name
 
 
 @pytest.fixture(scope="module")
@@ -322,18 +288,3 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
     assert backlog.received_ns == 29_999
 
 
-def test_stiffness_of_a_spring_and_dashpot_is_withheld_in_the_hold(monkeypatch):
-    """It is flagged MODEL_MISMATCH, or what is published as N/m is right."""
-    pressed = laws.found_at
-
-    def in_the_hold(press, stress, parameters):
-        *_, lifted = press.instants
-        held = tuple(lifted - np.arange(2.0, 0.0, -0.2))
-        return pressed(press._replace(instants=held), stress, parameters)
-
-    monkeypatch.setattr(laws, "found_at", in_the_hold)
-    found = laws.run_stiffness(("kelvin_voigt", "flat punch", laws.RIGID), 0)
-    assert len(found) == 10
-    assert sum(one.is_known for one in found) <= 7
-    assert not any(one.is_flagged for one in found if one.is_known)
-    assert all(one.is_inside for one in found if one.is_known)

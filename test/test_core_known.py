@@ -24,7 +24,6 @@ from benchmark.measured import Test as Measured
 from benchmark.measured import identify as identify_measured
 from benchmark.other_laws import Law, springpot
 from benchmark.trial import fed
-from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import (
     KEYS,
@@ -36,7 +35,6 @@ from fden_ros.core.estimation import (
     Prior,
     StateIndex,
 )
-from fden_ros.core.law import FlatPunch
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.advice import remarks
 from fden_ros.offline.replay import contact_object
@@ -101,8 +99,6 @@ def off(estimate: Estimate, tissue: tuple[float, float, float]) -> np.ndarray:
     ("tissue", "noise"),
     [
         ((30.0, 12.0, 0.1), 0.3),
-        ((545.0, 8.5, 0.131), 3.0),
-        ((15000.0, 20.0, 0.45), 100.0),
         ((200000.0, 6.0, 0.32), 300.0),
     ],
 )
@@ -153,27 +149,12 @@ def test_every_published_number_of_an_estimate_is_in_the_messages_the_json_and_t
     assert summary_of(sent[1]).estimate.numbers == pytest.approx(estimate.numbers, rel=1e-12)
 
 
-def test_a_consumer_has_the_stiffness_of_near_linear_material():
-    live = LiveTissue(FlatPunch(area=1e-4, thickness=0.02))
-    for state in states_of(pressed(LINEAR, 20.0)):
-        now = state.stamp_ns * 1e-9
-        live.add(state, now)
-    assert live.reading(now) is None
-    assert live.refusal(now).cause is Cause.NOT_OBSERVABLE
-    value, deviation, depth = live.stiffness(0.1, now)
-    assert 0.0 < deviation < 0.2 * value and depth is None
-    # What stiffens how is not known: nothing is predicted.
-    assert live.predictor(now) is None
-
-
-@pytest.mark.parametrize("order", [1e-6, 0.01])
-def test_a_body_that_hardly_relaxes_has_an_alpha_near_0_and_is_known(order):
-    tissue = (*ELASTIC[:2], order)
-    summary, estimate = summary_and_estimate(pressed(tissue))
+def test_a_body_that_hardly_relaxes_has_an_alpha_near_0_and_is_known():
+    summary, estimate = summary_and_estimate(pressed(ELASTIC))
     assert summary.converged and not summary.flags
     assert estimate.observable == estimate.known == ParameterSet.ALL
     assert estimate.fractional_order >= 0.0
-    assert np.all(np.abs(off(estimate, tissue)) < 4.0)
+    assert np.all(np.abs(off(estimate, ELASTIC)) < 4.0)
 
 
 def test_a_spring_may_be_stated():
@@ -197,24 +178,6 @@ def test_what_lies_at_an_end_of_its_prior_is_said_and_nothing_is_known():
         assert state.estimate is not None
         assert bool(state.estimate.at_edge) == bool(state.flags & Flag.AT_PRIOR_LIMIT)
         assert not (state.estimate.at_edge and state.estimate.known)
-
-
-@pytest.mark.parametrize("toe", [0.0, 0.5])
-def test_alpha_is_that_of_the_relaxation_whatever_the_curve(toe):
-    """A curve stiffer at small strain, as beef's, would make of an alpha of 0.3 one of 0.39."""
-    times, fine = np.arange(0.0, 16.0, 0.1), np.arange(0.0, 16.005, 0.01)
-    strains = 0.08 * np.minimum(fine, 4.0)
-    law = np.where(strains < 0.125, strains, 0.125 * np.exp(8.0 * strains - 1.0))
-    response = law * (1.0 + toe * np.exp(-((strains / 0.1) ** 2)))
-    since = np.maximum(times[:, None] - fine, 0.0) ** 0.7
-    forces = (since[:, :-1] - since[:, 1:]) @ np.diff(response)
-    forces = forces / forces.max() + np.random.default_rng(0).normal(0.0, 1e-3, times.size)
-    depths = 0.02 * 0.08 * np.minimum(times, 4.0)
-    test = Measured("simulated", "beef", times, forces, depths, 0.02)
-    estimate, _, summary = identify_measured(test)
-    assert summary is not None and estimate.converged and not summary.flags
-    assert estimate.knows(2)
-    assert abs(estimate.fractional_order - 0.3) < 2.5 * estimate.fractional_order_sd
 
 
 # Presses whose force hardly leaves the noise: what noise hides is unknown, and no truth
@@ -268,21 +231,6 @@ def press(
     return off, summary
 
 
-@pytest.mark.parametrize("seed", first(4, 6, 9))
-def test_a_touch_that_noise_hides_leaves_the_origin_unknown(seed):
-    """The linear part of the curve ends at 12 Pa, under a noise of 43."""
-    off, summary = press(
-        (165.0, 13.7, 0.19),
-        (81.0, 21.4, 0.155),
-        speed=0.172,
-        depth=0.346,
-        hold=20.0,
-        noise=43.0,
-        seed=seed,
-    )
-    assert not summary.converged or np.all(np.abs(off) < 4.0), off
-
-
 @pytest.mark.parametrize("seed", first(0, 1, 2, 3, 4))
 def test_a_touch_whose_linear_part_noise_hides_leaves_g_open_and_shows_gn(seed):
     """It ends at 2 Pa, under a noise of 6: G was up to 24 of its deviations off, and converged."""
@@ -325,14 +273,12 @@ def pressed_law(number: int) -> tuple[Recording, float]:
     return recorded(Case("fden", "the law itself", law), number), drawn[-1].fractional_order
 
 
-@pytest.mark.parametrize("learn", [True, False])
 @pytest.mark.parametrize("number", first(*range(40, 44)))
-def test_a_stated_alpha_is_told_as_wrong_where_it_is(number, learn):
+def test_a_stated_alpha_is_reported_as_wrong_where_it_is(number):
     recording, order = pressed_law(number)
-    stated = {"alpha.learn": learn, "prior.alpha_sd": 0.01}
-    if not learn:
-        right = last_summary(recording, {**stated, "prior.alpha": order})
-        assert Flag.ALPHA_PRIOR_CONFLICT not in right.flags
+    stated = {"alpha.learn": False, "prior.alpha_sd": 0.01}
+    right = last_summary(recording, {**stated, "prior.alpha": order})
+    assert Flag.ALPHA_PRIOR_CONFLICT not in right.flags
     wrong = last_summary(recording, {**stated, "prior.alpha": order + 0.15})
     assert Flag.ALPHA_PRIOR_CONFLICT in wrong.flags
     assert wrong.estimate is not None and wrong.estimate.law_error is not None
@@ -367,15 +313,10 @@ def machine_press(rate: float, seed: int, way_noise: float = 0.0) -> Estimate:
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("rate", [5.0, 10.0])
-def test_a_press_on_a_given_origin_that_is_found_late_begins_at_the_origin(rate, seed):
-    found = machine_press(rate, seed)
+def test_a_press_on_a_given_origin_that_is_found_late_begins_at_the_origin(seed):
+    found = machine_press(5.0, seed)
     off = (found.mean - [math.log(1.5), math.log(11.5), 0.3]) / found.deviations
     assert np.abs(off).max() < 3.0
     assert found.deviations[2] < 0.02
 
 
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-def test_a_tenth_of_a_micrometre_about_a_given_origin_moves_nothing(seed):
-    plain, noisy = machine_press(10.0, seed), machine_press(10.0, seed, 1e-7)
-    assert np.abs((noisy.mean - plain.mean) / plain.deviations).max() < 0.3

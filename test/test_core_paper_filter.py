@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from pipeline_helpers import of_columns, summaries_of
 
-from fden_ros.core import ContactSummary, Pipeline
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, Prior
 from fden_ros.core.law import PassThrough
 from fden_ros.core.paper_filter import PaperFilter, _Bank, _Grid, _step
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
 from simulation.simulate import EXACT
@@ -197,17 +196,19 @@ def test_a_later_contact_of_a_place_claims_nothing():
     assert not estimator.estimate().known
 
 
+def estimates(parameters):
+    """The estimates of the example's outputs, and those of its converged contacts."""
+    probe = {"geometry.kind": "flat_punch", "geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    times, forces, depths = np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1).T
+    own = probe | {"estimator.kind": "ekf"} | parameters
+    outputs = of_columns(own, times, forces, 1e-3 * depths)[1]
+    every = [o.estimate for o in outputs if getattr(o, "estimate", None) is not None]
+    return every, [s.estimate for s in summaries_of(outputs) if s.converged]
+
+
 @pytest.mark.parametrize("parameters", [{}, {"prior.alpha": 0.131, "prior.alpha_sd": 0.0}])
 def test_the_example_gives_its_tissue(parameters):
-    probe = {"geometry.kind": "flat_punch", "geometry.area": 3.14e-4, "geometry.thickness": 0.02}
-    own = check(probe | EXACT | {"estimator.kind": "ekf"} | parameters)
-    outputs = []
-    pipeline = Pipeline(pipeline_config(own), outputs.append)
-    for time, force, depth in np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1):
-        pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)
-        pipeline.add_force(round(1e9 * (1 + time)), force)
-    pipeline.finish()
-    found = [o.estimate for o in outputs if isinstance(o, ContactSummary) and o.converged]
+    _, found = estimates(EXACT | parameters)
     truth = [(450.0, 9.0), (700.0, 8.0)]
     for (g, gn), estimate in zip(truth, found, strict=True):
         off = estimate.mean[:2] - np.log([g, gn])
@@ -215,13 +216,5 @@ def test_the_example_gives_its_tissue(parameters):
 
 
 def test_nothing_is_claimed_where_law_and_rig_are_not_stated_to_be_exact():
-    probe = {"geometry.kind": "flat_punch", "geometry.area": 3.14e-4, "geometry.thickness": 0.02}
-    outputs = []
-    own = check(probe | {"estimator.kind": "ekf"})
-    pipeline = Pipeline(pipeline_config(own), outputs.append)
-    for time, force, depth in np.loadtxt(EXAMPLES / "press.csv", delimiter=",", skiprows=1):
-        pipeline.add_displacement(round(1e9 * (1 + time)), 1e-3 * depth)
-        pipeline.add_force(round(1e9 * (1 + time)), force)
-    pipeline.finish()
-    known = [o.estimate.known for o in outputs if getattr(o, "estimate", None) is not None]
-    assert known and not any(known)
+    every, converged = estimates({})
+    assert every and not converged and not any(estimate.known for estimate in every)

@@ -21,7 +21,6 @@ import pytest
 from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
 from pipeline_helpers import Item, items_of, parameters_of
 
-from fden_ros.core.input_warnings import Direction
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -32,7 +31,6 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams import Pair
 from simulation.scenario import DisplacementSensor, Site, ramp_scenario
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, Palpation, RampHold, Trajectory
@@ -161,19 +159,16 @@ def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
 # Gaps in contact
 
 
-def gap(data: Presses, duration_s: float) -> tuple[list[Item], int]:
-    """Leave out both streams in the first ramp; return the rest and the stamp where it begins."""
+def gap(data: Presses) -> tuple[list[Item], int]:
+    """Leave out 0.2 s of the first ramp; return the rest and the stamp where that begins."""
     begin = data.at(0, 0.4)
-    end = round(begin + duration_s * SECOND)
+    end = begin + SECOND // 5
     return [item for item in data.items if not begin <= item.stamp_ns < end], begin
 
 
-@pytest.mark.parametrize(("duration_s", "max_gap"), [(0.2, 0.25), (0.2, 0.21)])
-def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory(
-    duration_s: float, max_gap: float
-) -> None:
+def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory() -> None:
     data = presses()
-    result = outcome(data, gap(data, duration_s)[0], synchronize__max_gap=max_gap)
+    result = outcome(data, gap(data)[0], synchronize__max_gap=0.21)
     assert ids(result.summaries)[:2] == [(1, 1), (1, 2)]
     for summary in result.summaries:
         # The memory of the site spans the gap from then on.
@@ -182,13 +177,10 @@ def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory(
     assert sd_of(result.summaries[1]) < 0.9 * sd_of(result.summaries[0])
 
 
-@pytest.mark.parametrize(("duration_s", "max_gap"), [(0.3, 0.25), (0.2, 0.19)])
-def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more(
-    duration_s: float, max_gap: float
-) -> None:
+def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more() -> None:
     data = presses()
-    items, begin = gap(data, duration_s)
-    result = outcome(data, items, synchronize__max_gap=max_gap)
+    items, begin = gap(data)
+    result = outcome(data, items, synchronize__max_gap=0.19)
     first, *later = result.summaries
     assert ids(result.summaries)[:2] == [(1, 1), (1, 2)]
     # It ends with the last pair before the gap, and is reported once.
@@ -252,14 +244,6 @@ FORGETTING: dict[str, Callable[[], Outcome]] = {
     "timeout": lambda: outcome(beside(), site__timeout=0.5),
     "moved": lambda: outcome(presses((FIRM,), sites=3, message="pose", pause_s=0.5)),
 }
-
-
-def test_without_a_reset_the_second_contact_begins_with_what_the_first_has_taught() -> None:
-    result = outcome(beside())
-    taught, second = states_in(result, 1)[-1], states_in(result, 2)[0]
-    # Less the deviations: the tissue of another place is soon seen to be another.
-    assert second.estimate.mean == pytest.approx(taught.estimate.mean, abs=0.02)
-    assert ids(result.summaries)[:2] == [(1, 1), (1, 2)]
 
 
 @pytest.mark.parametrize("name", FORGETTING)
@@ -331,38 +315,3 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
         assert own[-1].classes.label == summary.classes.label == "liver"
 
 
-def test_counts_are_those_of_the_samples() -> None:
-    data = presses()
-    force = [k for k, item in enumerate(data.items) if item.stream == 0]
-    inside = [k for k in force if data.at(1, 0.2) < data.items[k].stamp_ns < data.at(1, 0.8)]
-    spoiled = set(inside[::40])
-    items = [
-        item._replace(value=math.nan) if k in spoiled else item
-        for k, item in enumerate(data.items)
-    ]
-    result = outcome(data, items)
-    assert result.pipeline.rejected == {"force.non_finite": len(spoiled)}
-    assert result.pipeline.pair_count == len(force) - len(spoiled)
-    assert [s.rejected_count for s in result.summaries] == [0, len(spoiled), 0]
-    assert [bool(s.flags & Flag.INPUT_REJECTED) for s in result.summaries] == [False, True, False]
-    flagged = [state for state in result.states if state.flags & Flag.INPUT_REJECTED]
-    # A state says so once for what was rejected since the state before.
-    assert len(flagged) == len(spoiled)
-    assert {state.contact_id for state in flagged} == {2}
-    for summary in result.summaries:
-        stamps = [
-            data.items[k].stamp_ns
-            for k in force
-            if k not in spoiled and data.items[k].stamp_ns >= summary.start_ns
-        ]
-        least = sum(stamp <= summary.end_ns for stamp in stamps)
-        most = sum(stamp <= summary.end_ns + RELEASE_NS for stamp in stamps)
-        assert least <= summary.sample_count <= most
-
-
-def test_after_a_clock_that_jumped_back_no_samples_are_kept():
-    direction = Direction()
-    for begin in (100_000, 0):
-        for k in range(5000):
-            direction.add(Pair(0, (begin + k) * 1_000_000, 0.01 * k, 0.0, None))
-    assert len(pickle.dumps(direction)) < 5000

@@ -43,7 +43,7 @@ def scaled(
 
 @pytest.mark.parametrize(
     ("peak", "size", "stress"),
-    [("10 pN", 1e-5, 1.0), ("0.1 uN", 1e-3, 1.0), ("9 N", 1.0, 1e2), ("2 kN", 5.0, 1e3)],
+    [("10 pN", 1e-5, 1.0), ("2 kN", 5.0, 1e3)],
 )
 def test_a_press_is_the_same_tissue_in_any_size(peak: str, size: float, stress: float) -> None:
     _, (summary,) = scaled(size, stress, force__noise_floor=1e-16)

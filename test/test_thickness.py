@@ -66,24 +66,12 @@ def test_a_sphere_on_a_bonded_layer_is_the_published_series(ratio):
     assert found == pytest.approx(np.polynomial.polynomial.polyval(ratio, PUBLISHED), rel=0.01)
 
 
-def test_a_press_beyond_the_theory_is_implausible():
-    """Where the contact is three times as wide as the layer, the series ends."""
-    thin = Sphere(0.02, 0.002)
-    assert thin.compression(thin.most_strain) * thin.radius == pytest.approx(4 * 0.002**2 / 0.02)
-
-
-#: Thickness [m], whether the base holds it, and by which factor G is off where it is not stated.
-LAYERS = {
-    "3 mm, bonded": (0.003, True),
-    "4 mm, slipping": (0.004, False),
-    "10 mm, bonded": (0.01, True),
-}
 STIFFNESS, NONLINEARITY = 20_000.0, 6.0
 
 
-def pressed(thickness: float, is_bonded: bool, folder: Path) -> Path:
-    """Write a bag of a sphere that presses up to 1.5 mm into a layer."""
-    geometry = Geometry("sphere", radius_m=RADIUS, thickness_m=thickness, bonded=is_bonded)
+def pressed(folder: Path) -> Path:
+    """Write a bag of a sphere that presses up to 1.5 mm into a layer that slips on its base."""
+    geometry = Geometry("sphere", radius_m=RADIUS, thickness_m=0.004, bonded=False)
     strain = geometry.strain_of_depth(0.0015)
     scenario = Scenario(
         geometry=geometry,
@@ -110,11 +98,10 @@ def replayed(capsys: Any, bag: Path, **changes: object) -> dict[str, Any]:
     return contact | {"warnings": result["warnings"]}
 
 
-@pytest.mark.parametrize(("thickness", "is_bonded"), LAYERS.values(), ids=LAYERS)
 def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_it_takes(
-    thickness, is_bonded, capsys, tmp_path
+    capsys, tmp_path
 ):
-    bag = pressed(thickness, is_bonded, tmp_path / "press")
+    bag = pressed(tmp_path / "press")
     stated = replayed(capsys, bag)
     assert stated["converged"] and not stated["warnings"]
     assert abs(stated["g"] - STIFFNESS) < 2.0 * stated["g_sd"] < 0.3 * STIFFNESS
@@ -126,24 +113,6 @@ def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_
     assert words.startswith("geometry.thickness is not stated, so the tissue counts as thick")
     reached = re.search(r"the (\S+) mm reached", words)
     assert reached and float(reached[1]) == pytest.approx(1.5, rel=0.25)
-
-
-def test_what_is_said_of_a_thickness_is_right():
-    words = assumed(Sphere(RADIUS), 0.0018)
-    up_to, least, here, more, less = (
-        float(re.search(pattern, words)[1])
-        for pattern in (
-            r"(\S+) mm where it is h = 10 mm",
-            r"take (\S+) mm",
-            r"at 10 mm G comes out (\S+) times",
-            r"\((\S+) with 2 mm more",
-            r", (\S+) with as much less",
-        )
-    )
-    assert factor(Sphere(RADIUS, 0.01), 1e-3 * up_to) == pytest.approx(1.1, rel=0.01)
-    assert factor(Sphere(RADIUS, 1e-3 * least), 0.0018) == pytest.approx(1.1, rel=0.01)
-    for times, thickness in ((here, 0.01), (more, 0.012), (less, 0.008)):
-        assert times == pytest.approx(factor(Sphere(RADIUS, thickness), 0.0018), rel=0.05)
 
 
 def test_a_face_wider_than_the_layer_is_thick_is_told_of_and_hayes_is_the_remedy():
