@@ -3,8 +3,8 @@
 
 """What should not move an estimate: how far it does, in stated deviations.
 
-20 presses on simulated rigs, each with something disturbed, and measured ones where there are any
-go through the pipeline as they are and again with one thing changed. A *move* is the largest
+20 presses on simulated rigs, each with something disturbed, go through the pipeline as they are
+and again with one thing changed. A *move* is the largest
 change of ln G, ln Gn and alpha over the deviation that the unchanged record states. The live state
 is the last before the recording ends, of a rig in the hold: there is no air after it.
 """
@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured
-from benchmark.measured import Test, read_tests, some_of
 from benchmark.presses import CASES, parameters_of, scenario_of
 from benchmark.score import share
 from benchmark.trial import feed, presses_of
@@ -121,36 +120,14 @@ Moves = Mapping[str, Array]
 
 def run(args: argparse.Namespace) -> Report:
     """Identify every record as it is and changed, and hold the moves against their goals."""
-    found = {
-        "rigs": measured(run_trial, [(n,) for n in args.numbers], jobs=args.jobs, what="rigs")
-    }
-    if args.data is not None:
-        tests = read_tests(args.data)
-        chosen = some_of(tests, args.contacts) if args.quick else tests
-        tasks = [(tested(number, test),) for number, test in enumerate(chosen)]
-        moves = measured(moves_of, tasks, jobs=args.jobs, what="measured tests")
-        for test, moved in zip(chosen, moves, strict=True):
-            found.setdefault(test.kind, []).append(moved)
-    tables = {
-        kind: Table(f"Moves in stated deviations, {kind}: ln G, ln Gn, alpha", rows_of(own))
-        for kind, own in found.items()
-    }
-    return Report([goal for kind, own in found.items() for goal in goals_of(kind, own)], tables)
+    found = measured(run_trial, [(n,) for n in args.numbers], jobs=args.jobs, what="rigs")
+    table = Table("Moves in stated deviations: ln G, ln Gn, alpha", rows_of(found))
+    return Report(goals_of(found), {"rigs": table})
 
 
 def run_trial(number: int) -> Moves:
     """Simulate record `number`, and identify it as it is and after each change."""
     return moves_of(simulated(number))
-
-
-def tested(number: int, test: Test) -> Record:
-    """Return a measured test as a record."""
-    stamps = START_NS + np.round(NANOSECONDS * test.times).astype(np.int64)
-    force, moved = (
-        Stream(stamps, values, None, "", "", (0.0, 0.0, 1.0), "")
-        for values in (test.forces, test.displacements)
-    )
-    return Record(number, Recording(force, moved, {}), test.parameters)
 
 
 def simulated(number: int) -> Record:
@@ -187,7 +164,7 @@ def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
     """Return the last live estimate, and that of the last summary."""
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check(dict(record.parameters))), outputs.append)
-    feed(pipeline, record.recording, to_the_end=False)
+    feed(pipeline, record.recording)
     live = [o.estimate for o in outputs if isinstance(o, TissueState)]
     pipeline.finish()
     whole = [o.estimate for o in outputs if isinstance(o, ContactSummary)]
@@ -213,22 +190,20 @@ def _row_of(values: Array) -> dict[str, Any]:
     }
 
 
-def goals_of(kind: str, found: Sequence[Moves]) -> list[Goal]:
-    """Hold the moves of all records of a kind against the goals."""
+def goals_of(found: Sequence[Moves]) -> list[Goal]:
+    """Hold the moves of all records against the goals."""
     goals = []
     for name, change in CHANGES.items():
         largest = np.array([moves[name].max() for moves in found if name in moves])
         if change.quantile < 1.0:
             within_usual = share(largest <= change.usual).value
-            words = f"{kind}, {name}: records that move by at most {change.usual:g}"
+            words = f"{name}: records that move by at most {change.usual:g}"
             goals.append(at_least(words, within_usual, change.quantile))
         most = float(min(largest.max(), 1e9)) if largest.size else math.nan
-        goals.append(at_most(f"{kind}, {name}: largest move", most, change.most))
+        goals.append(at_most(f"{name}: largest move", most, change.most))
     live = [float(moves[LIVE].max()) for moves in found if LIVE in moves]
-    goals.append(
-        at_most(f"{kind}, {LIVE}: largest move", max(live, default=math.nan), _LIVE_LIMIT)
-    )
-    return goals
+    largest_live = max(live, default=math.nan)
+    return [*goals, at_most(f"{LIVE}: largest move", largest_live, _LIVE_LIMIT)]
 
 
-BENCHMARK = Benchmark(run, EPILOG, contacts=(20, 3), data=True)
+BENCHMARK = Benchmark(run, EPILOG, contacts=(20, 3))

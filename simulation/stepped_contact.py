@@ -51,20 +51,12 @@ class SteppedContact:
 
 @dataclass(frozen=True)
 class SteppedHistory:
-    """The contacts of a disturbed motion with one site of the tissue, in the order of time.
+    """The contacts of a disturbed motion with one site of the tissue, in the order of time."""
 
-    Attributes
-    ----------
-    contacts
-        What :class:`~simulation.contact.ContactHistory` has, too.
-    model
-        The tissue.
-    times, strains, stresses
-        Of every step, in s, 1 and Pa, shape (n,); the stress is 0 out of contact.
-    """
-
+    #: What :class:`~simulation.contact.ContactHistory` has, too
     contacts: tuple[SteppedContact, ...]
-    model: FdenModel
+    model: FdenModel  #: The tissue
+    #: Of every step, in s, 1 and Pa, shape (n,); the stress is 0 out of contact
     times: FloatArray
     strains: FloatArray
     stresses: FloatArray

@@ -29,7 +29,7 @@ from benchmark.bound import contact_bounds
 from benchmark.harness import within
 from benchmark.measured import Test as Measured
 from benchmark.measured import hold_order
-from benchmark.score import Judged, Share
+from benchmark.score import Judged
 from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
 from fden_ros.nodes.backlog import Backlog
@@ -123,10 +123,9 @@ def small(monkeypatch, tables):
         (laws, "GEOMETRIES", {"sphere": laws.GEOMETRIES["sphere"]}),
         (laws, "_OTHERS", {"kelvin_voigt": laws._OTHERS["kelvin_voigt"]}),
         (invariance, "CHANGES", {"stamps": invariance.CHANGES["stamps shifted"]}),
-        (classification, "_QUICK_CONTACTS", 4),
+        (classification, "_QUICK_CONTACTS", 2),
         (real, "_QUICK_TESTS", 1),
         (replay, "load_scenario", lambda _: ramp_scenario(rate_hz=100.0)),
-        (replay, "_REPEATS", 1),
     ):
         monkeypatch.setattr(module, name, value)
     return tables
@@ -134,13 +133,15 @@ def small(monkeypatch, tables):
 
 #: Of a small run of each: what follows from its words.
 SMALL = {
-    "exact --contacts 2 --samples 300 --jobs 1": lambda f: (
+    "exact --contacts 1 --samples 300 --jobs 1": lambda f: (
         f["bound"]["ln G"]["contacts"] == 1
-        and f["rows"]["all"]["no estimate"][1] == f["rows"]["ramp"]["no estimate"][1] == 2
-        and f["rows"]["rig known"]["undetected"] == [0, 2]
+        and f["rows"]["all"]["no estimate"][1] == f["rows"]["ramp"]["no estimate"][1] == 1
+        and f["rows"]["rig known"]["undetected"] == [0, 1]
         and "palpation" not in f["rows"]
     ),
-    "laws --quick --cases linear_solid_1 --jobs 1": lambda f: len(f["N/m"]) == 4,
+    "laws --quick --cases linear_solid_1 --jobs 1": lambda f: (
+        len(f["N/m"]) == 4 and f["laws"]["standard linear solid, 1 s, testing machine"]["mismatch"][0]
+    ),
     "changes --cases flat_10 --contacts 1 --jobs 1": lambda f: (
         [set(row) for row in f["rows"].values()] == [{change.name for change in changes.CHANGES}]
     ),
@@ -151,12 +152,9 @@ SMALL = {
         f["rigs"]["stamps"]["records"] == 1 and max(f["rigs"]["stamps"]["largest"]) < 1e-3
     ),
     "classification --quick": lambda f: (
-        f["figures"]["converged"][""][1] == 4 and 0.0 <= f["figures"]["expected"][""] < 0.5
+        f["figures"]["converged"][""][1] == 2 and 0.0 <= f["figures"]["expected"][""] < 0.5
     ),
-    "replay --quick": lambda f: (
-        set(f["steps"]) >= {"in the air", "in contact"}
-        and f["speed"]["palpation at 1 kHz"]["times real time"] > 0.0
-    ),
+    "replay --quick": lambda f: f["speed"]["palpation at 1 kHz"]["times real time"] > 0.0,
 }
 
 
@@ -187,12 +185,6 @@ def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path
     assert row["given"][0] >= 1 and row["given"][1] == 3
     assert abs(row["ratio, median"] - 1.0) < 0.1 and row["error, 90 %"] < 20.0
     assert {"Kelvin-Voigt", "Hunt-Crossley", "force over depth"} < set(table)
-
-
-def test_a_relaxation_that_ends_is_told_before_a_prediction_is_off():
-    trial = laws.run_trial(("poroelastic_2", laws.RIGID), 0)
-    assert trial.mismatch == Share(1, 1)
-    assert all(p.refusal or p.inside > 0.9 for p in trial.predictions)
 
 
 @pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))
