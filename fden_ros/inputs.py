@@ -21,16 +21,8 @@ from fden_ros.core.streams import (
     Sink,
     normalised,
 )
-from fden_ros.parameters import (
-    FORCES,
-    PLACES,
-    MessageKind,
-    Parameters,
-    frames_config,
-    kind_of,
-    tool_weight,
-    unit_vector,
-)
+from fden_ros.message_kinds import FORCES, PLACES, MessageKind, kind_of
+from fden_ros.parameters import Parameters, frames_config, tool_weight, unit_vector
 
 #: Of ``/tf``.
 TRANSFORMS = "tf2_msgs/msg/TFMessage"

@@ -275,6 +275,7 @@ ROOMS = (
     "core",  # its public names
     "simulation",
     "tissues",
+    "message_kinds",
     "parameters",
     "inputs",
     "recording",

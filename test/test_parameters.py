@@ -29,10 +29,9 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.inputs import Inputs
+from fden_ros.message_kinds import FORCES, MessageKind
 from fden_ros.parameters import (
-    FORCES,
     PARAMETERS,
-    MessageKind,
     Parameters,
     check,
     pipeline_config,

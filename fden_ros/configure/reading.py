@@ -20,7 +20,8 @@ from fden_ros.configure.units import NOT_STATED, STATED_SI, Unit, unit_of
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.inputs import TRANSFORMS, TYPE_NAMES, stamp_ns
-from fden_ros.parameters import FORCES, PLACES, check
+from fden_ros.message_kinds import FORCES, PLACES
+from fden_ros.parameters import check
 from fden_ros.progress import progress
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.fields import FieldPath, decoder_of

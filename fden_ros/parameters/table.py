@@ -21,7 +21,7 @@ from fden_ros.core.law import GeometryConfig, Sphere, TorsionalRheometer
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
-from fden_ros.parameters.message_kinds import FORCES, PLACES
+from fden_ros.message_kinds import FORCES, PLACES
 from fden_ros.parameters.parameter import Parameter, Value, Vector
 
 _Settings = TypeVar("_Settings")
@@ -168,11 +168,18 @@ class Parameters:
 
     def changed(self, values: Mapping[str, object]) -> Parameters:
         """Return these parameters with others in place of some."""
-        return _changed(self, {name: parameter_named(name).check(v) for name, v in values.items()})
+        own = {name: parameter_named(name).check(value) for name, value in values.items()}
+        found = _changed(self, own)
+        kind = found.geometry.kind
+        if kind in (Sphere.kind, TorsionalRheometer.kind) and not found.geometry.radius:
+            raise InputError(
+                f"geometry.kind is {kind} and geometry.radius is 0: state the radius [m]"
+            )
+        return found
 
 
 def _leaves(settings: Any) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
-    """Yield every field that is a parameter, in the order of the fields, and its value."""
+    """Yield every field that is a parameter, and its value."""
     for leaf in dataclasses.fields(settings):
         value = getattr(settings, leaf.name)
         if leaf.metadata:
@@ -199,35 +206,27 @@ def _plain(value: Any) -> Value:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _by_group(parameters: list[Parameter]) -> tuple[Parameter, ...]:
-    """Return parameters with each group together, where its first one stands."""
-    groups = list(dict.fromkeys(one.group for one in parameters))
-    return tuple(sorted(parameters, key=lambda one: groups.index(one.group)))
+def _described(settings: Any) -> tuple[Parameter, ...]:
+    """Return the parameters with each group together, where its first one stands."""
+    found = [
+        Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)
+    ]
+    groups = list(dict.fromkeys(one.group for one in found))
+    return tuple(sorted(found, key=lambda one: groups.index(one.group)))
 
 
-def _described(settings: Any) -> list[Parameter]:
-    return [Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)]
-
-
-PARAMETERS = _by_group(_described(Parameters()))
+PARAMETERS = _described(Parameters())
 #: Of the node alone: not the identification's, in the same file.
-NODE_PARAMETERS = tuple(_described(NodeSettings()))
+NODE_PARAMETERS = _described(NodeSettings())
 #: Of every node, declared by rclpy.
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service")
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-_WITH_RADIUS = (Sphere.kind, TorsionalRheometer.kind)
 _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
 
 def check(values: Mapping[str, object]) -> Parameters:
     """Return all parameters: `values` checked, the others at their defaults."""
-    found = Parameters().changed(values)
-    geometry = found.geometry
-    if geometry.kind in _WITH_RADIUS and not geometry.radius:
-        raise InputError(
-            f"geometry.kind is {geometry.kind} and geometry.radius is 0: state the radius [m]"
-        )
-    return found
+    return Parameters().changed(values)
 
 
 def parameter_named(name: str) -> Parameter:
