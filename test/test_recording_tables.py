@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from command_helpers import answer
 from recording_kinds import NEWTONS, PLAIN
 
+from fden_ros.cli import main
 from fden_ros.parameters import check
 from fden_ros.recording.source import Selection, open_source
 
@@ -155,3 +157,20 @@ def test_the_air_of_a_recording_without_air_does_not_drift(
     path.write_text(NEWTONS + machine_rows(offset=0.1, steps=600, slope=slope, curve=curve))
     found = replayed(capsys, path, "--no-from-touch", "--diameter", "50mm", "--height", "30mm")
     assert not [line for line in found["warnings"] if "drifts in the air" in line]
+
+
+@pytest.mark.parametrize(("sign", "code"), [(1.0, 0), (-1.0, 3)])
+def test_a_touch_before_the_recording_leaves_the_slope_where_the_signs_are_right(
+    sign, code, tmp_path, capsys
+):
+    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1)
+    # From 0.1 s before the first touch to the air after it.
+    rows = rows[(rows[:, 0] > 1.83) & (rows[:, 0] < 5.0)] * [1.0, sign, sign]
+    path = tmp_path / "press.csv"
+    np.savetxt(path, rows, delimiter=",", header="time_s,force_N,depth_mm", comments="")
+    command = ["replay", path, "--config", PRESS.with_name("probe.yaml"), "--no-from-touch"]
+    assert main([*map(str, command), "--json"]) == code
+    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    assert "touch_not_observed" in contact["flags"]
+    # 43 N/m where the touch was observed.
+    assert sign < 0.0 or contact["measured_slope"] == pytest.approx(43.0, abs=2.0)

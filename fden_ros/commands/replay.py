@@ -45,7 +45,7 @@ The configuration is the identifier node's own parameter file.
 
 #: What its exit codes say next to those of all commands.
 EXIT_CODES = {
-    0: "a contact is converged, or N/m is known",
+    0: "a contact is converged, or N/m or a slope is known",
     _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
 }
 

@@ -51,6 +51,11 @@ class Direction:
         self._last = force, displacement
 
     @property
+    def is_right(self) -> bool:
+        """Whether the signs are as they have to be: the force grows, and the displacement too."""
+        return self._force > 0.0 and self._together >= 0.0
+
+    @property
     def hint(self) -> str:
         """What to check where the force falls below its value in the air."""
         if self._force > 0.0 > self._together:
@@ -59,7 +64,7 @@ class Direction:
                 "sign (displacement.axis, displacement.inverted)?"
             )
         begins = "or did the data begin in contact?"
-        if self._force > 0.0:
+        if self.is_right:
             return f"was a slow or faint touch taken for the air (touch faster), {begins}"
         if self._together > 0.0:
             return (

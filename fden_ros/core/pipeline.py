@@ -125,8 +125,11 @@ class Pipeline:
 
     @property
     def is_air_doubted(self) -> bool:
-        """Whether the force fell below its value in the air, as one of the wrong sign does."""
-        return self._session.air_events[0] > 0
+        """Whether the force fell below its value in the air, as one of the wrong sign does.
+
+        With the right signs it did so where a touch was not observed.
+        """
+        return self._session.air_events[0] > 0 and not self._direction.is_right
 
     # Inputs
 

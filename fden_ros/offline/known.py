@@ -12,13 +12,15 @@ def known_stiffness(summary: ContactSummary) -> str:
     """Return which stiffness is known: ``N/m`` by a law that nothing stands against, or ``slope``.
 
     Empty where neither is. N/m has to be larger than one of its deviations, from where on it is
-    shown as a number. Where a unit is wrong nothing is known, nor where no touch was seen: there
-    the signs may be wrong, and the air the contact.
+    shown as a number. Where a unit is wrong nothing is known; where no touch was seen the law is
+    not, and the slope is.
     """
-    if summary.flags & (Flag.IMPLAUSIBLE | Flag.TOUCH_NOT_OBSERVED):
+    if summary.flags & Flag.IMPLAUSIBLE:
         return ""
     by_law = summary.apparent_stiffness
-    is_doubted = summary.flags & (Flag.AT_PRIOR_LIMIT | Flag.GEOMETRY_UNSTATED)
+    is_doubted = summary.flags & (
+        Flag.AT_PRIOR_LIMIT | Flag.GEOMETRY_UNSTATED | Flag.TOUCH_NOT_OBSERVED
+    )
     if by_law is not None and by_law.sd < by_law.value and not is_doubted:
         return "N/m"
     return "" if summary.measured.loading is None else "slope"

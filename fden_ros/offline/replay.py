@@ -49,7 +49,7 @@ class Replay:
     #: Slopes of force over displacement where no contact was seen, and it was deepest.
     measured_unseen: Slopes = NOT_MEASURED
     never_lifts: bool = False  #: the probe palpates, so that its contacts are strokes
-    is_air_doubted: bool = False  #: the force fell below its value in the air
+    is_air_doubted: bool = False  #: the force fell below its value in the air, by a wrong sign?
 
     @property
     def has_identified(self) -> bool:
@@ -63,8 +63,8 @@ class Replay:
     def with_stiffness_alone(self) -> frozenset[int]:
         """Numbers of the contacts of which N/m or the slope is known, and not G.
 
-        None where the force fell below its value in the air: then what is taken for a contact may
-        be the air.
+        None where the force fell below its value in the air, and a sign may be wrong: then what is
+        taken for a contact may be the air.
         """
         summaries = () if self.is_air_doubted else self.summaries
         return frozenset(s.contact_id for s in summaries if known_alone(s))
