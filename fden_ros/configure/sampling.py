@@ -17,7 +17,7 @@ from fden_ros.configure.finding import Finding, Seconds, unknown
 from fden_ros.configure.session import Mask, Session, runs
 from fden_ros.configure.statistics import apart_from_neighbours, noise_of, pooled
 from fden_ros.core.arrays import Array
-from fden_ros.core.contact import ContactConfig, least_noise
+from fden_ros.core.contact import ContactConfig
 from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.parameter import TINY
 from fden_ros.core.strokes import REMEDY
@@ -103,7 +103,7 @@ def _noise(stream: str, sessions: Sequence[Session], axis: Axis | None) -> Findi
         evidence = "that of rounding: the values come in larger steps than the noise"
     floor: dict[str, Value] = {}
     if stream == "force" and 0.0 < value < ContactConfig.noise_floor:
-        floor = {"force.noise_floor": max(least_noise(value), TINY)}
+        floor = {"force.noise_floor": max(float(f"{0.1 * value:.0e}"), TINY)}
         evidence += "; below the default of force.noise_floor, which would hide presses"
     return Finding(subject, value, sd, evidence, _all(sessions), parameters=floor)
 
