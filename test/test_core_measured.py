@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import begun
+from pipeline_helpers import begun, of_columns, summaries_of
 from property_helpers import counts
 
 from fden_ros.core import ContactSummary, Pipeline, Status, TissueState
-from fden_ros.core.outputs import Output
+from fden_ros.core.outputs import Flag, Output
 from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.parameters import check, pipeline_config
@@ -291,3 +291,47 @@ def test_messages_hold_what_is_measured():
         again = state_of(estimate_message(replace(state, measured=both), "tool"))
         assert again.measured == both
     assert summary_of(summary_message(summary(), "tool")).measured == summary().measured
+
+
+def clipped(seed: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, forces and displacements of a press of the paper's law, by its own convolution.
+
+    The force is cut off at a `part` of its peak; the noise is added after that.
+    """
+    draw, rate = np.random.default_rng(seed), (100.0, 200.0, 500.0)[seed % 3]
+    time, speed = np.arange(0.0, 7.0, 1.0 / rate), draw.uniform(4e-3, 16e-3)
+    alpha, gn, travel = draw.uniform(0.05, 0.3), draw.uniform(5.0, 11.0), 0.008
+    corners = np.cumsum([2.0, travel / speed, draw.uniform(0.2, 2.0), travel / speed])
+    places = np.interp(time, corners, [-0.003, 0.005, 0.005, -0.003])
+    strain = np.maximum(places, 0.0) / 0.02
+    phi = np.where(strain < 1 / gn, strain, np.exp(gn * strain - 1.0) / gn)
+    lags = np.diff(np.arange(time.size + 1) ** (1 - alpha)) * rate**alpha / math.gamma(2 - alpha)
+    force = np.maximum(np.convolve(np.diff(phi, prepend=0.0), lags)[: time.size], 0.0)
+    force *= 0.2 / force.max()
+    read = np.minimum(force, part * force.max()) + 8e-4 * draw.standard_normal(time.size)
+    return time, read, places + 1e-6 * draw.standard_normal(time.size)
+
+
+def is_cut_off(seed: int, part: float) -> bool:
+    measured = MeasuredSlopes(pipeline_config(check({})))
+    for time, force, place in zip(*(c.tolist() for c in clipped(seed, part)), strict=True):
+        measured.add(Pair(0, START_NS + round(time * NANOSECONDS), force, place, None))
+        measured.assign(1, in_contact=True, surface=0.0, bias=0.0)
+    if measured.is_saturated:
+        assert measured.of(1) == NOT_MEASURED
+    return measured.is_saturated
+
+
+@pytest.mark.parametrize("count", counts(8, 200))
+def test_a_force_whose_envelope_stands_still_while_the_probe_goes_on_is_saturated(count):
+    assert not any(is_cut_off(seed, 1.0) for seed in range(count))
+    for part in (0.6, 0.75):
+        assert sum(is_cut_off(seed, part) for seed in range(count)) >= 0.9 * count
+
+
+def test_nothing_is_claimed_of_a_saturated_contact():
+    parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    (found,) = summaries_of(of_columns(parameters, *clipped(1, 0.75))[1])
+    assert Flag.SATURATED in found.flags
+    assert not found.converged and found.estimate is None and found.apparent_stiffness is None
+    assert found.measured == NOT_MEASURED

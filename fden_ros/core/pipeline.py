@@ -268,6 +268,8 @@ class Pipeline:
             self._measured.add(pair)
             self._put(self._session.take(pair))
             session = self._session
+            if self._measured.is_saturated and session.in_contact:
+                session.withdraw(Flag.SATURATED)
             surface, bias = session.surface
             self._measured.assign(
                 session.contact_count, in_contact=session.in_contact, surface=surface, bias=bias

@@ -64,7 +64,7 @@ BY_FLAG: Mapping[Flag, Advice] = {
         "tare, let the sensor warm up, or state force.drift_sd",
     ),
     Flag.SATURATED: Advice(
-        "the force was stuck or beyond force.limit, and was dropped",
+        "the force was at its end: stuck, beyond force.limit, or still while the probe went on",
         "press less, or raise force.limit where it is below the sensor's",
     ),
     Flag.GAP: Advice("samples are missing within this site's memory", "make the link reliable"),

@@ -99,11 +99,15 @@ def palpated(
     kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
     variance = float(slope @ covariance @ slope) + kernel
     own_sd = math.sqrt(max(float(measured[1, 1]), 0.0))
-    is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
-    estimate = _estimate(
-        *(float(order), float(covariance[1, 1]), own_order), config, samples, is_lag=is_lag
+    # Where alpha is given, only a lag is too much.
+    reach = math.inf if config.is_order_given else EDGE * math.sqrt(float(covariance[1, 1]))
+    is_beyond = own_order > max(_LARGEST_ORDER, _STATED * own_sd) or not (
+        _LOWEST_ORDER - reach <= own_order <= _HIGHEST_ORDER + reach
     )
-    if estimate.at_edge:
+    estimate = _estimate(
+        float(order), float(covariance[1, 1]), config, samples, is_beyond=is_beyond
+    )
+    if is_beyond:
         return Palpated(whole, None, estimate)
     sd = apparent * math.sqrt(max(variance, 0.0))
     return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
@@ -124,22 +128,13 @@ def _with_rig(
 
 
 def _estimate(
-    order: float,
-    variance: float,
-    own_order: float,
-    config: EstimatorConfig,
-    samples: int,
-    *,
-    is_lag: bool,
+    order: float, variance: float, config: EstimatorConfig, samples: int, *, is_beyond: bool
 ) -> Estimate:
     """Return the prior with the alpha that was found; beyond its edge nothing is known."""
-    prior, deviation = config.prior, math.sqrt(max(variance, 0.0))
+    prior = config.prior
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
-    lowest, highest = own_order - EDGE * deviation, own_order + EDGE * deviation
-    is_beyond = highest < _LOWEST_ORDER or lowest > _HIGHEST_ORDER
-    is_beyond = is_lag or (is_beyond and not config.is_order_given)
     valid = ParameterSet.NONE
     if not is_beyond:
         valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
@@ -169,14 +164,8 @@ def _sentence(value: complex, angular_frequency: float) -> str:
 class PalpationMeter:
     """Follows stiffness and alpha, sample by sample.
 
-    Parameters
-    ----------
-    frequency : float or None
-        Of the palpation [Hz]; None: it is found.
-    least_amplitude : float
-        Amplitude of the displacement [m] below which there is no palpation.
-    time_scale : float
-        tau of the apparent stiffness [s].
+    `frequency` is stated [Hz], or found; below `least_amplitude` [m] nothing palpates;
+    `time_scale` is tau of the apparent stiffness [s].
     """
 
     def __init__(
