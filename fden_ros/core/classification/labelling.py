@@ -65,12 +65,10 @@ class Decider:
             self._candidate = candidate
         elif candidate != self._candidate or not self.label:
             self._candidate, self._since_ns = candidate, stamp_ns
-        if not self.label or last or self._has_stood(stamp_ns):
+        has_stood = stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
+        if not self.label or last or has_stood:
             self.label = candidate
         return self.label
-
-    def _has_stood(self, stamp_ns: int) -> bool:
-        return stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
 
     def _answer(self, classes: ClassProbabilities) -> str:
         config = self._config
@@ -149,11 +147,9 @@ class Labeller:
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
         config = self.estimator
+        learns = config.learns_fractional_order
         likelihood = likelihood_of(
-            estimate.mean,
-            estimate.covariance,
-            config.prior,
-            order_counts=config.learns_fractional_order,
+            estimate.mean, estimate.covariance, config.prior, order_counts=learns
         )
         if self.surroundings is not None:
             return self.surroundings.classes(site_id, estimate, likelihood)
@@ -165,15 +161,10 @@ class Labeller:
 class Labelling:
     """The label of one contact with a site."""
 
-    def __init__(
-        self,
-        labeller: Labeller,
-        site_id: int,
-        start_ns: int,
-    ) -> None:
+    def __init__(self, labeller: Labeller, site_id: int, start_ns: int) -> None:
         self._labeller = labeller
         self._site_id, self._start_ns = site_id, start_ns
-        self._is_mismatch = False  # as was said last
+        self._is_mismatch = False  # as was given last
         self._decider = Decider(labeller.decision)
         self._answer = Answer()
 
@@ -192,22 +183,23 @@ class Labelling:
         `max_strain` so far [1]; `block` is its number; `has_changed`: the tissue has,
         under the probe; `is_mismatch`: the model does not describe the contact.
         """
-        if has_changed and self._answer.classes is not None:
+        before = self._answer.classes
+        if has_changed and before is not None:
             # The tissue that was named is no longer under the probe.
             self._decider = Decider(self._labeller.decision)
-            self._answer = replace(self._answer, decided=None)
-            yield self._say(None, is_mismatch)
+            self._answer, before = replace(self._answer, decided=None), None
+            yield self._give(None, is_mismatch)
         elif is_mismatch != self._is_mismatch:
             # The label stands, but no longer without a reservation.
-            yield self._say(self._answer.classes, is_mismatch)
+            yield self._give(before, is_mismatch)
         classes = None
         if estimate is not None and estimate.converged:
-            if block % _CLASSIFY_EVERY and self._answer.classes is not None:
+            if block % _CLASSIFY_EVERY and before is not None:
                 return
             classes = self._classes(stamp_ns, estimate, max_strain)
         is_first = self._answer.decision is Decision.NONE
-        if self._is_news(classes) if classes is not None else is_first:
-            yield self._say(classes, is_mismatch)
+        if _differ(before, classes) if classes is not None else is_first:
+            yield self._give(classes, is_mismatch)
 
     def finish(self, stamp_ns: int, estimate: Estimate | None, max_strain: float) -> Answer:
         """Return the answer at the end of the contact; no other comes that it must stand for."""
@@ -216,18 +208,7 @@ class Labelling:
         classes = self._classes(stamp_ns, estimate, max_strain, last=True)
         return Answer() if classes is None else replace(self._answer, classes=classes)
 
-    def _is_news(self, classes: ClassProbabilities) -> bool:
-        previous = self._answer.classes
-        return (
-            previous is None
-            or previous.label != classes.label
-            or any(
-                abs(new - old) > _PROBABILITY_CHANGE
-                for new, old in zip(classes.probabilities, previous.probabilities, strict=True)
-            )
-        )
-
-    def _say(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
+    def _give(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
         decision = Decision.UNDETERMINED
         if classes is not None and classes.label:
             decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
@@ -250,3 +231,10 @@ class Labelling:
             decided = Decided(elapsed, max_strain) if label else None
             self._answer = replace(self._answer, decided=decided)
         return classes._replace(label=label)
+
+
+def _differ(old: ClassProbabilities | None, new: ClassProbabilities) -> bool:
+    if old is None or old.label != new.label:
+        return True
+    changes = (abs(a - b) for a, b in zip(new.probabilities, old.probabilities, strict=True))
+    return max(changes) > _PROBABILITY_CHANGE
