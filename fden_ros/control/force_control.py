@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Force control on soft tissue: one law, with gains from the live stiffness or fixed.
+r"""Force control on soft tissue: one law, with gains from the live stiffness.
 
 The probe is moved by its velocity. With k the tissue's stiffness in N/m, the force follows its
 target as a first-order system of the bandwidth w, whatever the tissue:
@@ -33,8 +33,7 @@ from fden_ros.errors import InputError
 class Gains(enum.Enum):
     """Where the gains in use come from."""
 
-    FIXED = "fixed"
-    SAFE = "safe"  #: scheduled control without a stiffness
+    SAFE = "safe"  #: no stiffness is known
     LIVE = "live"
 
 
@@ -42,9 +41,8 @@ class Gains(enum.Enum):
 class ForceControlConfig:
     """One force controller; SI units."""
 
-    safe_stiffness: float  #: k of the fixed gains [N/m]: the stiffest tissue that is expected
+    safe_stiffness: float  #: k of the safe gains [N/m]: the stiffest tissue that is expected
     force_limit: float  #: the force shall stay below it [N]
-    scheduled: bool = True  #: gains from the live stiffness; false: fixed gains
     bandwidth: float = 12.0  #: w [rad/s]: at most a third of 1 / (delay + lag of the axis)
     reaction_time: float = 0.06  #: T [s]: from a change of the force to the axis answering
     touch_force: float = 0.01  #: below it the probe is in the air [N]
@@ -78,21 +76,11 @@ _NEAR, _INTEGRAL_PART = 0.1, 0.25
 class ForceController:
     """Velocity of the probe from force, depth and what is known of the tissue.
 
-    Parameters
-    ----------
-    config : ForceControlConfig
-
-    Attributes
-    ----------
-    gains : Gains
-        Where those of the last step came from.
-    stiffness : float
-        k of the last step [N/m].
+    `gains` says where those of the last step came from, `stiffness` is its k [N/m].
     """
 
     def __init__(self, config: ForceControlConfig) -> None:
         self.config = config
-        self.gains, self.stiffness = Gains.FIXED, config.safe_stiffness
         self._recent: deque[tuple[float, float, float]] = deque()
         self._time: float | None = None
         self._target = 0.0
@@ -108,16 +96,8 @@ class ForceController:
     ) -> float:
         """Return the velocity into the tissue [m/s].
 
-        Parameters
-        ----------
-        time : float
-            Of the measurement [s].
-        force, depth : float
-            Measured, on the tissue [N], into it [m].
-        target : float
-            Force wanted [N]; 0 or less: leave the tissue.
-        known : (float, float) or None
-            The tissue's stiffness at 1 / bandwidth and its deviation [N/m]; None: not known.
+        `force` [N] and `depth` [m] were measured at `time` [s]. A `target` of 0 N or less leaves
+        the tissue. `known` is its stiffness at 1 / bandwidth and the deviation [N/m], if it is.
         """
         config = self.config
         elapsed = 0.0 if self._time is None else time - self._time
@@ -125,8 +105,7 @@ class ForceController:
         if force < config.touch_force:
             self._forget()
             return config.approach_speed if target > 0.0 else -config.approach_speed
-        if config.scheduled:
-            self._schedule(time, force, depth, known, elapsed)
+        self._schedule(time, force, depth, known, elapsed)
         error = target - force
         rate = config.bandwidth * error + self._integrate(error, target, elapsed)
         guard = GUARDED_STIFFENING * config.reaction_time
@@ -137,9 +116,8 @@ class ForceController:
         """In the air: whatever is touched next is new."""
         self._recent.clear()
         self._stiffening, self._integral = 1.0, 0.0
-        self._known = self.config.safe_stiffness
-        if self.config.scheduled:
-            self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
+        self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
+        self._known = self.stiffness
 
     def _integrate(self, error: float, target: float, elapsed: float) -> float:
         """Return the rate that balances the tissue's relaxation [N/s]; only near the target."""

@@ -18,8 +18,7 @@ the variance of the last innovation. To it comes the variance by which what is l
     + \left( f\,\sigma_k \ln\frac{A(t)}{A(0)} \right)^2
 
 with :math:`\sigma_c` and :math:`\sigma_k` the relative errors of curve and relaxation, A the age
-of the loading, k the stiffness that the motion of the surface meets, and c the stress by force
-for the drift of the force.
+of the loading, k the stiffness that the motion of the surface meets, c the stress by force.
 """
 
 from __future__ import annotations
@@ -116,16 +115,8 @@ class TissueMemory:
 class Predictor:
     """The tissue as it is now: parameters, memory and present stress.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    estimate : Estimate
-    memory : TissueMemory
-        The stress at the site up to now.
-    innovation_variance : float
-        Of the stress or the fractional stress, which differ little over seconds [Pa^2].
-    uncertainty : Uncertainty
-        What is not known of model and rig.
+    `innovation_variance` is that of the stress [Pa^2]; `uncertainty` what is not known of model
+    and rig.
     """
 
     geometry: Geometry
@@ -137,12 +128,8 @@ class Predictor:
     def force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction:
         """Return the force on the tissue while the probe follows a plan.
 
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Seconds from the present, positive, increasing.
-        displacements : array_like, shape (n,)
-            Distance further into the tissue by then [m], linear in between; negative: back.
+        `times` are seconds from the present, increasing, shape (n,); `displacements` the distance
+        further into the tissue by then [m], linear in between; negative: back.
 
         Raises
         ------
@@ -182,23 +169,13 @@ class Predictor:
     def _followed(self, parameters: Array, offsets: Array, steps: Array, strains: Array) -> Array:
         """Return the stress [Pa] along the plan, shape (m, n).
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (m, 3)
-            Of the law: ln G, ln Gn, alpha.
-        offsets : ndarray, shape (m,)
-            What r is larger by [Pa s^alpha].
-        steps, strains : ndarray, shapes (n,), (n + 1,)
+        By the law with `parameters` (ln G, ln Gn, alpha), shape (m, 3), and r larger by `offsets`.
         """
         weights = np.array([memory_weights(max(order, 0.0)) for order in parameters[:, 2]])
         slow, fast = weights[:, :RATE_COUNT], weights[:, RATE_COUNT]
         linear, nonlinear = np.exp(parameters[:, :2]).T
-        wanted = np.array(
-            [
-                elastic_responses(strains, g, gn).value
-                for g, gn in zip(linear.tolist(), nonlinear.tolist(), strict=True)
-            ]
-        )
+        pairs = zip(linear.tolist(), nonlinear.tolist(), strict=True)
+        wanted = np.array([elastic_responses(strains, g, gn).value for g, gn in pairs])
         stress = np.full(len(parameters), self.memory.stress)
         moments = np.tile(self.memory.moments, (len(parameters), 1))
         wanted += (slow @ self.memory.moments + fast * stress - wanted[:, 0] + offsets)[:, None]
@@ -225,31 +202,13 @@ class Predictor:
         rig = (stiffness / self.geometry.length * stated.surface_motion_sd) ** 2
         rig += (self.geometry.stress_per_force * stated.force_drift_sd) ** 2
         grown = 2.0 * (estimate.model_discrepancy * stress) ** 2 * loading + rig * steps
-        ageing = _log_ageing(response, steps, max(estimate.mean_dwell_time, _LEAST_AGE))
-        return np.asarray(np.cumsum(grown) + (self._relaxation_error * stress * ageing) ** 2)
-
-    @property
-    def _relaxation_error(self) -> float:
-        """Relative deviation of the relaxation over a factor e of its age [1].
-
-        The data so far may widen what is stated, not shrink it.
-        """
-        found = self.estimate.law_error
-        stated = _LAW_ALONE * self.uncertainty.kernel_sd
-        return max(stated, found.kernel if found is not None else 0.0)
-
-
-def _log_ageing(response: Array, steps: Array, age: float) -> Array:
-    """Return ln A / A(0) of the loading at the ends of steps [s], shape (n,).
-
-    `response`: elastic, at the beginning and at those ends, shape (n + 1,).
-    """
-    ages = [age]
-    for step, before, after in zip(steps, response[:-1], response[1:], strict=True):
-        # What is built up in a step is half as old as the step at its end.
-        built = 0.5 * step * max(after - before, 0.0)
-        ages.append(((ages[-1] + step) * min(before, after) + built) / after)
-    return np.asarray(np.log(np.array(ages[1:]) / age))
+        age = max(estimate.mean_dwell_time, _LEAST_AGE)
+        # The data so far may widen what is stated, not shrink it.
+        found = estimate.law_error.kernel if estimate.law_error is not None else 0.0
+        relaxation = max(_LAW_ALONE * stated.kernel_sd, found) * stress
+        # New loading is younger: without it the relaxation is the largest.
+        ageing = np.log1p(np.cumsum(steps) / age)
+        return np.asarray(np.cumsum(grown) + (relaxation * ageing) ** 2)
 
 
 def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
