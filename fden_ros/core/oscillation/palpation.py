@@ -9,9 +9,7 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
    \alpha = \tfrac{2}{\pi} \arg k .
 
 What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction adds
-4/(pi |X|) to its imaginary part. The law's own error counts from 1/omega to tau. A relaxation
-leads by alpha times 90 degrees, a lag of a clock by omega tau: with a larger phase than tissue has
-nothing is known.
+4/(pi |X|) to its imaginary part. With a larger phase than tissue has nothing is known.
 """
 
 from __future__ import annotations
@@ -75,10 +73,7 @@ def palpated(
     config: EstimatorConfig,
     samples: int,
 ) -> Palpated | None:
-    """Return what a complex stiffness shows; None where it is not above 0.
-
-    `angular_frequency` and `amplitude` are of the palpation [rad/s, m], `time_scale` is tau [s].
-    """
+    """Return what a complex stiffness shows for a motion of tau [s]; None: it is not above 0."""
     if stiffness.value.real <= NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
@@ -97,20 +92,16 @@ def palpated(
     slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
     kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
-    variance = float(slope @ covariance @ slope) + kernel
+    sd = apparent * math.sqrt(max(float(slope @ covariance @ slope) + kernel, 0.0))
     own_sd = math.sqrt(max(float(measured[1, 1]), 0.0))
     # Where alpha is given, only a lag is too much.
-    reach = math.inf if config.is_order_given else EDGE * math.sqrt(float(covariance[1, 1]))
-    is_beyond = own_order > max(_LARGEST_ORDER, _STATED * own_sd) or not (
-        _LOWEST_ORDER - reach <= own_order <= _HIGHEST_ORDER + reach
-    )
-    estimate = _estimate(
-        float(order), float(covariance[1, 1]), config, samples, is_beyond=is_beyond
-    )
-    if is_beyond:
-        return Palpated(whole, None, estimate)
-    sd = apparent * math.sqrt(max(variance, 0.0))
-    return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
+    variance = max(float(covariance[1, 1]), 0.0)
+    reach = math.inf if config.is_order_given else EDGE * math.sqrt(variance)
+    is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
+    is_tissue = _LOWEST_ORDER - reach <= own_order <= _HIGHEST_ORDER + reach and not is_lag
+    estimate = _estimate(float(order), variance, config, samples, is_tissue)
+    found = ApparentStiffness(apparent, sd, time_scale) if is_tissue else None
+    return Palpated(whole, found, estimate)
 
 
 def _with_rig(
@@ -128,16 +119,14 @@ def _with_rig(
 
 
 def _estimate(
-    order: float, variance: float, config: EstimatorConfig, samples: int, *, is_beyond: bool
+    order: float, variance: float, config: EstimatorConfig, samples: int, is_tissue: bool
 ) -> Estimate:
-    """Return the prior with the alpha that was found; beyond its edge nothing is known."""
-    prior = config.prior
+    """Return the prior with the alpha that was found; nothing is known of what is no tissue's."""
+    prior, alpha = config.prior, ParameterSet.FRACTIONAL_ORDER
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
-    valid = ParameterSet.NONE
-    if not is_beyond:
-        valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
+    valid = determined(config, deviations, 0.0) & alpha if is_tissue else ParameterSet.NONE
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
@@ -145,7 +134,7 @@ def _estimate(
         covariance=covariance,
         observable=valid,
         known=converged(config, deviations, valid),
-        at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
+        at_edge=ParameterSet.NONE if is_tissue else alpha,
         sample_count=samples,
     )
 
