@@ -209,9 +209,3 @@ def test_recordings_that_a_worker_does_not_see_are_refused(tmp_path, cluster):
         pass
 
 
-def test_a_scheduler_that_is_none_is_one_line(tmp_path, capsys):
-    table = tmp_path / "results.csv"
-    with distributed.worker.dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
-        assert main(command(ROOT / "examples", table, "--scheduler", "tcp://127.0.0.1:1")) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "cannot be reached" in line

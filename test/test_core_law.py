@@ -260,6 +260,11 @@ def test_a_rest_is_a_stress_of_0_for_its_time():
     for order in ORDERS:
         free = pressed.free_response(0.1, order)
         assert abs(rested.free_response(0.1, order) / free - 1.0) < 1e-12
+        # Of a stress that falls to 0 in this time.
+        fresh = StressMemory()
+        fresh.press(1.0, 100.0)
+        expected = product_integral(order, np.array([0.0, 1.0, 1.1]), np.array([0.0, 100.0, 0.0]))
+        assert fresh.free_response(0.1, order) == pytest.approx(expected, rel=1e-4)
 
 
 # A dither as a dynamic test, a hold as a relaxation test, from streams of samples

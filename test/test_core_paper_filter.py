@@ -177,14 +177,6 @@ def test_what_is_not_modelled_is_refused_or_right(noise, disturb):
         assert not (estimator.is_mismatch and estimate.known)
 
 
-def test_a_wider_alpha_widens_the_stiffness():
-    press = press_of(3, 0.02)
-    known = identified(press)[1]
-    unknown = identified(press._replace(prior=replace(press.prior, fractional_order_sd=0.1)))[1]
-    assert unknown.deviations[0] > known.deviations[0]
-    assert known.deviations[2] == 0.0 < unknown.deviations[2]
-
-
 def test_a_later_contact_of_a_place_claims_nothing():
     press = press_of(3, 1e-3)
     estimator, first = identified(press)

@@ -115,11 +115,6 @@ def test_library_of_other_units_is_refused(tmp_path, units, area):
         pipeline_config(parameters(path, area=area))
 
 
-def test_built_in_library_is_left_out_where_it_does_not_fit():
-    assert pipeline_config(parameters(area=1.0)).library is None
-    assert pipeline_config(parameters()).library.name == "paper"
-
-
 # Libraries learned from contacts
 
 
@@ -142,12 +137,6 @@ def test_estimation_error_is_subtracted():
     mean = np.mean([np.diag(one.covariance) for one in found], axis=0)
     np.testing.assert_allclose(mean, np.diag(SPREAD), rtol=0.3)
     assert found[0].degrees_of_freedom == 43.0
-
-
-def test_class_of_one_contact_has_the_default_spread_and_the_error():
-    one = learn("a", Contacts(MEAN[None], np.diag([1.0, 1.0, 1e-4])[None]))
-    default = 2.0 * np.diag(np.square([0.28, 0.19, 0.02]))
-    np.testing.assert_allclose(one.covariance, default + np.diag([1.0, 1.0, 1e-4]))
 
 
 @pytest.mark.statistics

@@ -81,17 +81,6 @@ def test_stamps_of_zero_are_said_with_the_parameter_that_takes_the_times_of_rece
             assert begin - 1_000_000 < stamp(said[0]) < time.time_ns()
 
 
-def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet():
-    with active({"source_timeout": 0.1}):
-        with Bench() as early:
-            early.wait_for(lambda: early.estimates, "a first word")
-        with Bench() as late:
-            said = late.wait_for(lambda: late.estimates, "the same word")[0]
-    assert said.status == TissueEstimate.STATUS_STALE
-    assert said.valid == TissueEstimate.VALID_NONE
-    assert said.header.stamp.sec == 0
-
-
 def test_lost_messages_are_said_with_their_topic_and_what_mends_it():
     with Bench() as bench, identifier({"autostart": True}) as node:
         bench.wait_until_heard()
@@ -197,19 +186,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
     assert sum("/nowhere/tissues.yaml" in line for line in node.output.splitlines()) == 1
     for words, count in (("unconfigured: it", 1), ("configured: silent", 2), ("deactivated:", 2)):
         assert node.output.count(f": {words}") == count, words
-
-
-def test_the_offered_deadline_follows_the_period_of_the_estimate():
-    with Bench() as bench, active({"estimate.period": 0.2}):
-        bench.wait_until_connected()
-
-        def offered(topic: str) -> float:
-            (info,) = bench.node.get_publishers_info_by_topic(f"{bench.name}/{topic}")
-            return float(info.qos_profile.deadline.nanoseconds * 1e-9)
-
-        assert offered("estimate") == pytest.approx(1.0)
-        # Nobody knows when a probe oscillates.
-        assert offered("complex_modulus") > 1e6
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may raise a priority everywhere")

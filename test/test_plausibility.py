@@ -12,18 +12,16 @@ import pytest
 from command_helpers import answer, fden
 from pipeline_helpers import LIVER_PARAMETERS, begun
 
-from benchmark.trial import fed, through
+from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.parameters import check
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
-from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
-from simulation.simulate import EXACT, simulate
-from simulation.trajectory import RampHold
+from simulation.simulate import EXACT
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
@@ -100,18 +98,6 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
     said = [one for one in [*said, *pipeline.warnings] if "fell below its value in the air" in one]
     assert all(words is not None and words in one for one in said), said
     assert bool(said) == (words is not None)
-
-
-def test_no_sign_is_doubted_because_a_creeping_touch_was_taken_for_the_air():
-    scenario = Scenario(
-        geometry=Geometry(area_m2=PROBE["geometry.area"], thickness_m=0.02),
-        sites=(Site(Tissue(545.0, 8.5, 0.131), (RampHold(0.01, 0.35, 2.0, 0.4),)),),
-        force=ForceSensor(100.0, noise_n=0.01),
-        displacement=DisplacementSensor(100.0),
-    )
-    pipeline, _ = through(simulate(scenario, 0), pipeline_config(check(PROBE)))
-    (said,) = (one for one in pipeline.warnings if "fell below its value in the air" in one)
-    assert "sign" not in said and "touch faster" in said
 
 
 def test_slow_recording_is_identified():

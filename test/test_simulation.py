@@ -8,8 +8,7 @@ from __future__ import annotations
 import copy
 import itertools
 import json
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -42,17 +41,15 @@ from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
     Geometry,
-    Preload,
     Scenario,
     Site,
     Tissue,
     load_scenario,
-    ramp_scenario,
     scenario_names,
     scenario_of_mapping,
 )
 from simulation.simulate import START_NS, simulate
-from simulation.trajectory import Approach, Ramp, RampHold
+from simulation.trajectory import Approach, RampHold
 
 # The exact stress against arbitrary precision, known limits and another quadrature
 
@@ -279,13 +276,6 @@ def changed(path, value):
     return data
 
 
-def test_every_disturbance_is_a_key_of_a_scenario_file_that_comes_along():
-    text = (Path(__file__).parents[1] / "bags" / "robot_arm.yaml").read_text()
-    for field in fields(Disturbances):
-        assert f"  {field.name}:" in text
-    assert load_scenario("robot_arm").disturbances.moves_tissue
-
-
 @pytest.mark.parametrize(
     "path, value, complaint",
     [
@@ -300,22 +290,10 @@ def test_wrong_value_is_refused_in_one_line_that_says_what_is_right(path, value,
     assert complaint in refusal(scenario_of_mapping, changed(path, value))
 
 
-def test_file_that_is_no_scenario_is_named_with_its_fault(tmp_path):
-    path = tmp_path / "broken.yaml"
-    path.write_text("name: [1\n")
-    line = refusal(load_scenario, path)
-    assert "line 2: is not valid YAML" in line and str(path) in line
-
-
 # Recordings: what the sensors see, reproducibly, and the truth beside it
 
 
-SOFT = Tissue(linear_stiffness=520.0, nonlinear_stiffness=8.5, fractional_order=0.131)
 AREA = np.pi * 0.01**2
-
-
-def quiet_ramp(**changes):
-    return replace(ramp_scenario(tissue=SOFT, noise_stress_pa=0.0), **changes)
 
 
 def seconds(stream):
@@ -348,19 +326,6 @@ def test_scenario_that_comes_along_makes_sound_streams_and_truth(name):
             assert air < 2.0
         elif recording.displacement.position is None:
             assert air > 3.0
-
-
-def test_noise_bias_and_drift_have_the_stated_size():
-    sensor = ForceSensor(noise_stress_pa=3.0, bias_n=0.05, drift_n_per_s=0.01)
-    scenario = ramp_scenario(tissue=SOFT)
-    noisy = simulate(replace(scenario, force=sensor))
-    clean = simulate(quiet_ramp())
-    times = seconds(noisy.force)
-    residual = noisy.force.value - clean.force.value - 0.05 - 0.01 * times
-    count = times.size
-    assert np.std(residual) == pytest.approx(3.0 * AREA, rel=5.0 / np.sqrt(2.0 * count))
-    assert abs(np.mean(residual)) < 5.0 * 3.0 * AREA / np.sqrt(count)
-    assert abs(np.corrcoef(residual[1:], residual[:-1])[0, 1]) < 5.0 / np.sqrt(count)
 
 
 # Disturbances of a rig: each does what it says, by closed form or by simple physics
@@ -470,22 +435,3 @@ def test_force_has_the_error_of_the_stated_course(given, expected):
     np.testing.assert_allclose(error[away], expected(times, start, stop)[away], atol=1e-7)
 
 
-@pytest.mark.parametrize("disturbances", [Disturbances(), Disturbances(plastic_set_m=1e-9)])
-def test_preloaded_recording_begins_in_the_relaxation_of_a_press_before(disturbances):
-    held = scenario(Ramp(0.2, 0.25, 0.4), preload=Preload(0.002, 5.0), disturbances=disturbances)
-    recording = simulate(held)
-    assert recording.truth["preload"] == {"depth_m": 0.002, "time_s": 5.0}
-    times = seconds(recording.force)
-    at_rest = times < 0.5
-    np.testing.assert_allclose(recording.displacement.value[at_rest], 0.002, atol=1e-12)
-    # Into the surface at 10 mm/s, 5 s before the beginning.
-    touch = -5.0 - 0.002 / 0.01
-    expected = AREA * stress_of_piecewise_linear_strain(
-        [touch, -5.0], [0.0, 0.1], times[at_rest], MODEL
-    )
-    np.testing.assert_allclose(recording.force.value[at_rest], expected, rtol=2e-3)
-    assert recording.truth["contacts"][0]["start_ns"] == pytest.approx(
-        START_NS + touch * 1e9, abs=2e6
-    )
-    assert recording.force.value[-1] == 0.0
-    assert recording.displacement.value[-1] == pytest.approx(-0.005)
