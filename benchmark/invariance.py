@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,48 +37,38 @@ examples:
   fden benchmark invariance --json | jq '.figures.rigs'
 """
 
-#: All stamps are shifted by this [ns].
-_SHIFT_NS = 12_345_678_901
-_NANOMETRE, _TENTH_MICROMETRE = 1e-9, 1e-7
 #: Recordings end so long before the retreat [s], which would be seen by the summary alone.
 _BEFORE_RETREAT = 0.05
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY = 1e-9
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """A recording, and the identifier's parameters."""
 
     number: int
     recording: Recording
     parameters: Mapping[str, Any]
 
-    def with_streams(self, change: Callable[[Stream], Stream], *, both: bool = True) -> Record:
-        """Return the same with its displacement changed, and its force too."""
-        force, moved = self.recording.force, change(self.recording.displacement)
-        changed = replace(
-            self.recording, force=change(force) if both else force, displacement=moved
-        )
-        return replace(self, recording=changed)
+    def with_streams(self, change: Callable[[Stream], Stream]) -> Record:
+        """Return the same with its streams changed."""
+        force, moved = map(change, self.recording.streams)
+        return self._replace(recording=replace(self.recording, force=force, displacement=moved))
 
 
 def _noisy(size: float) -> Callable[[Record], Record]:
     def change(record: Record) -> Record:
+        moved = record.recording.displacement
         generator = np.random.default_rng([record.number, 29])
-
-        def noisy(stream: Stream) -> Stream:
-            return replace(
-                stream, value=stream.value + generator.normal(0.0, size, stream.value.size)
-            )
-
-        return record.with_streams(noisy, both=False)
+        noisy = moved.value + generator.normal(0.0, size, moved.value.size)
+        displacement = replace(moved, value=noisy)
+        return record._replace(recording=replace(record.recording, displacement=displacement))
 
     return change
 
 
 def _shifted(record: Record) -> Record:
-    return record.with_streams(lambda one: replace(one, stamp_ns=one.stamp_ns + _SHIFT_NS))
+    return record.with_streams(lambda one: replace(one, stamp_ns=one.stamp_ns + 12_345_678_901))
 
 
 def _halved(record: Record) -> Record:
@@ -88,9 +78,8 @@ def _halved(record: Record) -> Record:
 
 
 def _with_period(period: float) -> Callable[[Record], Record]:
-    return lambda record: replace(
-        record, parameters={**record.parameters, "estimate.period": period}
-    )
+    own = {"estimate.period": period}
+    return lambda record: record._replace(parameters={**record.parameters, **own})
 
 
 class Change(NamedTuple):
@@ -104,9 +93,9 @@ class Change(NamedTuple):
 
 #: 10 ms is the default period.
 CHANGES = {
-    "noise of 1 nm": Change(_noisy(_NANOMETRE), 0.1, 1.0, 0.1),
+    "noise of 1 nm": Change(_noisy(1e-9), 0.1, 1.0, 0.1),
     "stamps shifted": Change(_shifted, 0.1, 1.0, 0.1),
-    "noise of 0.1 um": Change(_noisy(_TENTH_MICROMETRE), 0.2, 0.95, 0.5),
+    "noise of 0.1 um": Change(_noisy(1e-7), 0.2, 0.95, 0.5),
     "period of 20 ms": Change(_with_period(0.02), 0.2, 0.95, 0.5),
     "period of 50 ms": Change(_with_period(0.05), 0.2, 0.95, 0.5),
     "every second sample left out": Change(_halved, 0.5, 0.9, 2.0),
@@ -173,21 +162,18 @@ def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
 
 def rows_of(found: Sequence[Moves]) -> dict[str, dict[str, Any]]:
     """Return the figures of each change: over the records, for each parameter."""
-    return {
-        name: _row_of(np.array([moves[name] for moves in found if name in moves]))
-        for name in (*CHANGES, LIVE)
-        if any(name in moves for moves in found)
-    }
-
-
-def _row_of(values: Array) -> dict[str, Any]:
-    return {
-        "records": len(values),
-        "median": np.median(values, axis=0),
-        "95 %": np.quantile(values, 0.95, axis=0, method="inverted_cdf"),
-        "largest": values.max(axis=0),
-        "beyond 1": share(values.max(axis=1) > 1.0),
-    }
+    rows: dict[str, dict[str, Any]] = {}
+    for name in (*CHANGES, LIVE):
+        values = np.array([moves[name] for moves in found if name in moves])
+        if values.size:
+            rows[name] = {
+                "records": len(values),
+                "median": np.median(values, axis=0),
+                "95 %": np.quantile(values, 0.95, axis=0, method="inverted_cdf"),
+                "largest": values.max(axis=0),
+                "beyond 1": share(values.max(axis=1) > 1.0),
+            }
+    return rows
 
 
 def goals_of(found: Sequence[Moves]) -> list[Goal]:

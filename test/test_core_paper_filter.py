@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from pipeline_helpers import of_columns, summaries_of
+from property_helpers import counts
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Block, EstimatorConfig, Prior
 from fden_ros.core.law import PassThrough
@@ -138,7 +139,7 @@ def test_the_response_of_a_node_is_the_stress_of_the_law_at_any_steps():
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.02], ids=["exact", "quiet", "loud"])
 @pytest.mark.parametrize("wide", [False, True], ids=["narrow", "default"])
-@pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.statistics)])
+@pytest.mark.parametrize("count", counts(1, 50))
 def test_what_is_claimed_is_as_far_off_as_stated(count, wide, noise):
     presses = [
         press_of(seed, noise, wide=wide, order_sd=0.0 if wide else 0.02) for seed in range(count)
@@ -147,7 +148,7 @@ def test_what_is_claimed_is_as_far_off_as_stated(count, wide, noise):
     claimed = np.array([deviations_off(*pair) for pair in found if pair[1].converged])
     assert len(claimed) >= 0.9 * count
     assert np.abs(claimed).max() < 5.0
-    if count > 2:
+    if count > 1:
         rms = np.sqrt((claimed**2).mean(axis=0))
         assert 0.7 < rms.min() < rms.max() < 1.4
 
@@ -169,8 +170,9 @@ def of_another_law(times, strains, load):
     ("noise", "disturb"),
     [(1e-3, compliant), (1e-3, late), (1e-3, of_another_law), (0.02, compliant), (0.02, late)],
 )
-def test_what_is_not_modelled_is_refused_or_right(noise, disturb):
-    for seed in range(3):
+@pytest.mark.parametrize("count", counts(1, 3))
+def test_what_is_not_modelled_is_refused_or_right(noise, disturb, count):
+    for seed in range(count):
         press = press_of(seed, noise, wide=True, disturb=disturb)
         estimator, estimate = identified(press)
         assert estimator.is_mismatch or np.abs(deviations_off(press, estimate)).max() < 5.0

@@ -31,7 +31,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.pipeline import Pipeline
-from simulation.scenario import DisplacementSensor, Site, ramp_scenario
+from simulation.scenario import DisplacementSensor, Site, Tissue, ramp_scenario
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, Palpation, RampHold, Trajectory
 
@@ -217,6 +217,18 @@ def test_a_first_contact_fainter_than_four_release_thresholds_makes_no_site(
         if data.at(0, 1.0) + RELEASE_NS < state.stamp_ns < data.at(1, 0.0)
     ]
     assert set(ids(in_between)) == ({(0, 0)} if site_id == 2 else {(1, 1)})
+
+
+def test_a_force_that_relaxes_while_the_probe_holds_is_no_release() -> None:
+    """It falls to a tenth, below half of the threshold; then the probe lifts."""
+    scenario = ramp_scenario(
+        strain_rate=0.5, max_strain=0.1, hold_s=20.0, tissue=Tissue(5000.0, 8.0, 0.5), rate_hz=50.0
+    )
+    recording = simulate(scenario)
+    threshold = {"force.threshold": 0.4 * float(recording.force.value.max())}
+    (contact,) = outcome_of(items_of(recording), parameters_of(recording) | threshold).summaries
+    (truth,) = recording.truth["contacts"]
+    assert contact.end_ns > truth["end_ns"] - SECOND
 
 
 # Resets: what makes the pipeline forget, and what goes on

@@ -184,7 +184,7 @@ def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
     labelled = []
     for name, g in (("soft", 450.0), ("stiff", 1500.0)):
         scenario = ramp_scenario(
-            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=200.0, seed=1,
+            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=100.0, seed=1,
             tissue=Tissue(g, 8.0, 0.13),
         )  # fmt: skip
         write_recording(simulate(scenario), tmp_path / name)

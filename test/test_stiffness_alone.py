@@ -17,7 +17,7 @@ from fden_ros.core.strokes import REMEDY
 from fden_ros.ros.status import PipelineProblems
 
 SPRING = 1000.0  # [N/m]
-RATE = 250.0
+RATE = 100.0
 GEOMETRY = {"geometry.area": 7.85e-5, "geometry.thickness": 0.03}
 CONFIG = """\
 /**:
