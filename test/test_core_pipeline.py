@@ -14,11 +14,11 @@ import itertools
 import math
 import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from fault_helpers import TISSUE, Outcome, is_wrong, outcome_of
+from fault_helpers import TISSUE, Outcome, Shift, is_wrong, outcome_of
 from pipeline_helpers import Item, items_of, parameters_of
 
 from fden_ros.core.outputs import (
@@ -48,22 +48,14 @@ SOLVED = 20
 RELEASE_NS = 64_000_000
 
 
-@dataclass(frozen=True)
-class Presses:
-    """Samples of presses on the same tissue, and the truth behind them."""
+def at(data: Shift, number: int, share: float) -> int:
+    """Stamp at this share of a contact's duration; below 0 or above 1: in the air by it."""
+    start, end = (data.contacts[number][key] for key in ("start_ns", "end_ns"))
+    return int(start + share * (end - start))
 
-    items: tuple[Item, ...]
-    parameters: dict[str, object]
-    site: dict[str, Any]
-    contacts: tuple[dict[str, Any], ...]
 
-    def at(self, number: int, share: float) -> int:
-        """Stamp at this share of a contact's duration; below 0 or above 1: in the air by it."""
-        start, end = (self.contacts[number][key] for key in ("start_ns", "end_ns"))
-        return int(start + share * (end - start))
-
-    def between(self, begin: float, end: float) -> list[Item]:
-        return [item for item in self.items if begin <= item.stamp_ns < end]
+def between(data: Shift, begin: float, end: float) -> list[Item]:
+    return [item for item in data.items if begin <= item.stamp_ns < end]
 
 
 @functools.cache
@@ -72,7 +64,7 @@ def presses(
     sites: int = 1,
     message: str = "joint_state",
     pause_s: float = 3.0,
-) -> Presses:
+) -> Shift:
     recording = simulate(
         replace(
             ramp_scenario(rate_hz=RATE, seed=3),
@@ -81,15 +73,15 @@ def presses(
             displacement=DisplacementSensor(rate_hz=RATE, message=message, noise_m=1e-6),
         )
     )
-    return Presses(
+    return Shift(
         tuple(items_of(recording)),
         parameters_of(recording),
-        recording.truth["sites"][0],
+        tuple(recording.truth["sites"]),
         tuple(recording.truth["contacts"]),
     )
 
 
-def outcome(data: Presses, items: Sequence[Any] | None = None, **parameters: object) -> Outcome:
+def outcome(data: Shift, items: Sequence[Any] | None = None, **parameters: object) -> Outcome:
     own = {name.replace("__", "."): value for name, value in parameters.items()}
     return outcome_of(data.items if items is None else items, data.parameters | own)
 
@@ -100,8 +92,8 @@ def undisturbed() -> Outcome:
     return outcome(presses())
 
 
-def with_call(data: Presses, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
-    return [*data.between(0, stamp_ns), call, *data.between(stamp_ns, math.inf)]
+def with_call(data: Shift, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
+    return [*between(data, 0, stamp_ns), call, *between(data, stamp_ns, math.inf)]
 
 
 def sd_of(output: Any) -> float:
@@ -134,7 +126,7 @@ def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> No
     assert all(s.complete and s.converged and not s.flags for s in result.summaries)
     deviations = [sd_of(summary) for summary in result.summaries]
     assert deviations[1] < 0.9 * deviations[0] and deviations[2] < 0.9 * deviations[1]
-    assert not any(is_wrong(summary, data.site) for summary in result.summaries)
+    assert not any(is_wrong(summary, data.sites[0]) for summary in result.summaries)
     for before, after in itertools.pairwise(result.summaries):
         # A contact begins with what was known at the end of the one before.
         first = states_in(result, after.contact_id)[0]
@@ -159,9 +151,9 @@ def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
 # Gaps in contact
 
 
-def gap(data: Presses) -> tuple[list[Item], int]:
+def gap(data: Shift) -> tuple[list[Item], int]:
     """Leave out 0.2 s of the first ramp; return the rest and the stamp where that begins."""
-    begin = data.at(0, 0.4)
+    begin = at(data, 0, 0.4)
     end = begin + SECOND // 5
     return [item for item in data.items if not begin <= item.stamp_ns < end], begin
 
@@ -173,7 +165,7 @@ def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory() -> 
     for summary in result.summaries:
         # The memory of the site spans the gap from then on.
         assert summary.complete and summary.converged and summary.flags & Flag.GAP
-        assert not is_wrong(summary, data.site)
+        assert not is_wrong(summary, data.sites[0])
     assert sd_of(result.summaries[1]) < 0.9 * sd_of(result.summaries[0])
 
 
@@ -186,7 +178,7 @@ def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more(
     # It ends with the last pair before the gap, and is reported once.
     assert not first.complete and first.flags & Flag.GAP
     assert begin - SECOND / RATE - 1 <= first.end_ns < begin
-    assert first.estimate is not None and not is_wrong(first, data.site)
+    assert first.estimate is not None and not is_wrong(first, data.sites[0])
     # The probe presses on: the states go on, without a number.
     after = [s for s in states_in(result, 1) if s.stamp_ns > first.end_ns]
     assert len(after) > 20
@@ -210,11 +202,11 @@ def test_a_first_contact_fainter_than_four_release_thresholds_makes_no_site(
     first, second = result.summaries
     assert first.complete and first.contact_id == 1
     assert ids([second]) == [(site_id, 2)]
-    assert second.converged and not is_wrong(second, data.site)
+    assert second.converged and not is_wrong(second, data.sites[0])
     in_between = [
         state
         for state in result.states
-        if data.at(0, 1.0) + RELEASE_NS < state.stamp_ns < data.at(1, 0.0)
+        if at(data, 0, 1.0) + RELEASE_NS < state.stamp_ns < at(data, 1, 0.0)
     ]
     assert set(ids(in_between)) == ({(0, 0)} if site_id == 2 else {(1, 1)})
 
@@ -234,18 +226,18 @@ def test_a_force_that_relaxes_while_the_probe_holds_is_no_release() -> None:
 # Resets: what makes the pipeline forget, and what goes on
 
 
-def clock_back(data: Presses, stamp_ns: int) -> list[Item]:
+def clock_back(data: Shift, stamp_ns: int) -> list[Item]:
     return [
         item._replace(stamp_ns=item.stamp_ns - 100 * SECOND) if item.stamp_ns >= stamp_ns else item
         for item in data.items
     ]
 
 
-def in_the_air(data: Presses) -> int:
-    return data.at(0, 1.0) + SECOND // 4
+def in_the_air(data: Shift) -> int:
+    return at(data, 0, 1.0) + SECOND // 4
 
 
-def beside() -> Presses:
+def beside() -> Shift:
     """Three sites, one press each, half a second apart; without positions they look like one."""
     return presses((FIRM,), sites=3, pause_s=0.5)
 
@@ -266,7 +258,7 @@ def test_nothing_that_was_learned_passes_a_reset(name: str) -> None:
     assert first.status is second.status is Status.CONVERGING
     assert ids(result.summaries[:2]) == [(1, 1), (2, 2)]
     assert all(s.complete and s.converged and not s.flags for s in result.summaries[:2])
-    assert not any(is_wrong(summary, beside().site) for summary in result.summaries[:2])
+    assert not any(is_wrong(summary, beside().sites[0]) for summary in result.summaries[:2])
     assert result.pipeline.contact_count == len(result.summaries)
     assert result.pipeline.site_count == result.summaries[-1].site_id
     jumped = [words for words in result.pipeline.warnings if "clock jumped back" in words]
@@ -279,13 +271,13 @@ def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -
     items = with_call(data, stamp_ns, Pipeline.reset)
     spoiled = items[20]._replace(value=math.nan)
     result = outcome(data, [*items[:20], spoiled, *items[20:]])
-    fresh = outcome(data, data.between(stamp_ns, math.inf))
+    fresh = outcome(data, between(data, stamp_ns, math.inf))
     start = next(k for k, output in enumerate(result.outputs) if output.stamp_ns >= stamp_ns)
     after = result.outputs[start:]
     assert [without_ids(o) for o in after] == [without_ids(o) for o in fresh.outputs]
     assert ids(result.summaries) == [(1, 1), (2, 2), (2, 3)]
     assert ids(fresh.summaries) == [(1, 1), (1, 2)]
-    before = outcome(data, data.between(0, stamp_ns))
+    before = outcome(data, between(data, 0, stamp_ns))
     assert result.pipeline.pair_count == before.pipeline.pair_count + fresh.pipeline.pair_count
     assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
 
