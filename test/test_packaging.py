@@ -167,7 +167,7 @@ POSES = (POSE, "--config", f"{POSE}/identifier.yaml")
 
 OFFLINE = [
     ("replay", "{arm}", "--config", "{arm}/identifier.yaml", "--json"),
-    ("configure", "{arm}"),
+    ("configure", POSE),
     ("batch", *POSES, "-o", "{new}/table.csv"),
     ("fit", "relaxation", "{new}/relaxation.csv", "--strain", "0.1"),
 ]

@@ -248,7 +248,7 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
         Group("what the file does not say", _FIT),
     ),
     "configure": (
-        _option("recordings", "bags or tables of one rig", Path, "RECORDING", nargs="*"),
+        _option("recordings", "bags or tables of one rig", Path, "RECORDING", nargs="+"),
         _output("parameter file to write"),
         _option(
             "--robot",
@@ -258,8 +258,6 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
         ),
         JSON,
         _option("--rigid", "of something rigid", Path, "RECORDING", action="append", default=[]),
-        _option("--one-place", "all presses are of one place (site.without_position)", bool),
-        _option("--frames", "displacement: path of PROBE in BASE, by /tf", str, "BASE,PROBE"),
         Group("the indenter, which no recording shows", _INDENTER),
         SELECTION,
     ),

@@ -23,6 +23,7 @@ from fden_ros.inputs import (
     TRANSFORMS,
     TYPE_NAMES,
     Inputs,
+    inputs_of,
     stamp_ns,
     stream_of,
 )
@@ -63,6 +64,15 @@ class Selection:
     where: tuple[str, str] | None = None  #: column and text of a table's rows that are used
     stamps: str = "header"  #: of a bag's messages; or ``recording``, the time of their recording
     from_touch: bool | None = None  #: whether a table begins at the touch; None: by its preamble
+
+    def options(self) -> list[str]:
+        """Return the options of commands that select the same."""
+        named = {f"--{stream}-topic": name for stream, name in self.topics.items()}
+        named |= {f"--{stream}-field": path for stream, path in self.fields.items()}
+        named |= {"--stamps": self.stamps} if self.stamps != "header" else {}
+        named |= {"--rows": "=".join(self.where)} if self.where is not None else {}
+        named |= {"--columns": str(self.columns)} if self.columns is not None else {}
+        return [word for option in named.items() for word in option]
 
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
@@ -202,14 +212,17 @@ class BagSource:
         """frame_id of the positions so far."""
         return self._inputs.displacement_frame if self._inputs is not None else ""
 
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+    def feed(
+        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+    ) -> Iterator[int]:
         """Feed `sink` the messages in the order of their recording, and yield the steps done.
 
         `before` is called with the time of recording (ns) and the message before its sample goes
-        in.
+        in. Inputs take the measurements as they are.
         """
-        self._inputs = inputs = Inputs(self.parameters, sink)
-        self._note_joints()
+        self._inputs = inputs = inputs_of(self.parameters, sink)
+        if inputs is not sink:
+            self._note_joints()
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
             handlers.setdefault(topic.name, []).append(self._handler(stream, topic, inputs))
@@ -325,9 +338,11 @@ class RowSource:
         """Rows."""
         return int(self.columns[0].size)
 
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+    def feed(
+        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+    ) -> Iterator[int]:
         """Feed the rows in their order."""
-        inputs = Inputs(self.parameters, sink)
+        inputs = inputs_of(self.parameters, sink)
         rows = zip(*(column.tolist() for column in self.columns), strict=True)
         for done, (stamp, force, displacement) in enumerate(rows, start=1):
             before(stamp, None)

@@ -70,7 +70,7 @@ def find_topic(
     types = {topic.type_name for topic in reader.topics}
     hint = f"name it with --{stream}-topic, and the number in it with --{stream}-field"
     if stream == "displacement" and TRANSFORMS in types:
-        hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
+        hint = "to follow /tf, set frames.base, frames.probe and displacement.message: tf"
     if any(name.startswith(RESULTS) for name in types):
         hint = f"fden_msgs are what an identifier makes of a recording: replay that, or {hint}"
     listed = _listed(reader.topics)
