@@ -103,7 +103,6 @@ def since(per_second: int, heading: str) -> str:
 #: Text of each kind of table that says by itself what is what.
 STATED = {
     "headings": NEWTONS + PLAIN,
-    "headings with low lines": "time_s,force_N,depth_mm\n" + PLAIN,
     "Zwick": "Prüfzeit [s];Standardkraft [N];Standardweg [mm]\n" + GERMAN,
     "German units in words": "Nr;Prüfzeit in s;Standardkraft in N;Verformung in mm\n"
     + comma("".join(f"1;{t};{f};{1e3 * d}\n" for t, f, d in ROWS)),
@@ -180,6 +179,9 @@ TABLES: dict[str, Table] = {
     ),
     "cells that say they are empty": Table(
         NEWTONS + PLAIN + "0.3,NaN,--\n", warned="1 of 5 rows"
+    ),
+    "commanded alone": Table(
+        "time_s,force_N,depth_desired_mm\n" + PLAIN, warned="is commanded by its heading"
     ),
     # Columns that are given, below any preamble
     "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),

@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.parameters.table import Parameters, check, identifier_values
+from fden_ros.parameters.table import Parameters, identifier_values
 
 #: Line of a parameter file that names a live node's topics, as remappings.
 LIVE_LINE = "# Live: "
@@ -83,13 +83,11 @@ def read_parameter_files(paths: Iterable[str | Path], node: str = NODE) -> Param
     Of the sections that are for the node, by name or wildcard, the later outdoes the earlier, and
     the later file the earlier.
     """
-    values: dict[str, object] = {}
     parameters = Parameters()
     for path in paths:
         sections = read_sections(path)
         try:
-            values |= identifier_values(values_for(sections, node))
-            parameters = check(values)
+            parameters = parameters.changed(identifier_values(values_for(sections, node)))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     return parameters
@@ -110,10 +108,7 @@ def values_for(sections: list[Section], node: str) -> dict[str, object]:
 def read_sections(path: str | Path) -> list[Section]:
     """Return every section of a parameter file, in its order."""
     try:
-        content = parse_yaml(Path(path).read_text(encoding="utf-8"))
-        if not isinstance(content, Mapping):
-            raise InputError(_NO_KEY)
-        return list(_sections(content, ""))
+        return list(_sections(parse_yaml(Path(path).read_text(encoding="utf-8")), ""))
     except OSError as error:
         reason = f"cannot read the parameter file: {error.strerror}"
     except InputError as error:
@@ -129,13 +124,11 @@ _NO_KEY = (
 )
 
 
-def _sections(tree: Mapping[object, object], node: str) -> Iterator[Section]:
-    if not tree:
+def _sections(tree: object, node: str) -> Iterator[Section]:
+    if not isinstance(tree, Mapping) or not tree:
         raise InputError(_NO_KEY)
     for key, below in tree.items():
-        if not isinstance(below, Mapping):
-            raise InputError(_NO_KEY)
-        if key == _KEY:
+        if key == _KEY and isinstance(below, Mapping):
             yield Section(node, dict(_leaves(below, "")))
         else:
             yield from _sections(below, f"{node}/{str(key).strip('/')}")

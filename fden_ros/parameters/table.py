@@ -79,13 +79,7 @@ class DisplacementInput:
         False,
         "true where a joint's position falls as the probe goes into the tissue.",
     )
-
-
-@dataclass(frozen=True)
-class SurfaceDirection:
-    """How the tissue's surface lies."""
-
-    normal: Vector = parameter(
+    surface_normal: Vector = parameter(
         "surface.normal",
         (0.0, 0.0, 0.0),
         "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
@@ -145,7 +139,6 @@ class Parameters:
 
     force: ForceInput = ForceInput()
     displacement: DisplacementInput = DisplacementInput()
-    surface: SurfaceDirection = SurfaceDirection()
     frames: FrameNames = FrameNames()
     tool: ToolWeight = field(default_factory=ToolWeight)
     stamp_source: str = parameter(

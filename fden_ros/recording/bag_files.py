@@ -61,21 +61,13 @@ class Topic:
 
 @dataclass
 class BagFile:
-    """What one file of a bag holds; the messages themselves are read on demand.
-
-    Parameters
-    ----------
-    path : Path
-    read : callable
-        Yields topic, time of recording (ns) and bytes of the messages of some topics, by time.
-    start_ns, end_ns : int, optional
-        Times of recording of the first and the last message; None without messages.
-    """
+    """What one file of a bag holds; the messages themselves are read on demand."""
 
     path: Path
+    #: Yields topic, time of recording (ns) and bytes of the messages of some topics, by time.
     read: Callable[[Collection[str]], Iterator[tuple[str, int, bytes]]]
-    start_ns: int | None = None
-    end_ns: int | None = None
+    start_ns: int | None = None  #: time of recording of the first message
+    end_ns: int | None = None  #: of the last
     topics: list[Topic] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 

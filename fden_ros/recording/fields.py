@@ -43,15 +43,9 @@ _PACKED = (
 
 @dataclass(frozen=True)
 class FieldPath:
-    """Where in a message a number or a vector lies.
+    """Where in a message a number or a vector lies."""
 
-    Parameters
-    ----------
-    text : str
-        Names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``.
-    """
-
-    text: str
+    text: str  #: names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``
 
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.text) is None:

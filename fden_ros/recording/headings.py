@@ -82,17 +82,10 @@ _MEGA = 1e6
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading with the unit that stands in it or below it.
-
-    Parameters
-    ----------
-    text : str
-    unit : str
-        Of a row of units; "" where there is none.
-    """
+    """A heading with the unit that stands in it or below it."""
 
     text: str
-    unit: str = ""
+    unit: str = ""  #: of a row of units; "" where there is none
 
     @property
     def words(self) -> list[str]:

@@ -309,27 +309,14 @@ class BagSource:
 
 @dataclass(frozen=True, eq=False)
 class RowSource:
-    """A table, or arrays, fed row by row.
+    """A table, or arrays, fed row by row."""
 
-    Parameters
-    ----------
-    columns : tuple of ndarray
-        Stamps [ns], force [N] and displacement [m], shape (n,) each; NaN where a row has none.
-    parameters : Parameters
-        With what the table says or needs.
-    inputs : dict
-        Column of each quantity.
-    warnings : tuple of str
-        What is wrong with it, or is to be stated.
-    set_by_recording : tuple of str
-        What of the parameters the table says, a line each.
-    """
-
+    #: Stamps [ns], force [N] and displacement [m], shape (n,) each; NaN where a row has none.
     columns: tuple[Any, Array, Array]
-    parameters: Parameters
-    inputs: dict[str, str]
-    warnings: tuple[str, ...] = ()
-    set_by_recording: tuple[str, ...] = ()
+    parameters: Parameters  #: with what the table says or needs
+    inputs: dict[str, str]  #: column of each quantity
+    warnings: tuple[str, ...] = ()  #: what is wrong with it, or is to be stated
+    set_by_recording: tuple[str, ...] = ()  #: what of the parameters the table says, a line each
     frame: str = ""
     displacement_frame: str = ""
 

@@ -34,10 +34,7 @@ def carried_stamp(sample: Any) -> Any:
 def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
     """Return why header stamps cannot be used as they are, a line each.
 
-    Parameters
-    ----------
-    stamps : mapping
-        By topic pairs of header stamp and time of recording (ns), of its first messages.
+    `stamps` are by topic pairs of header stamp and time of recording (ns) of its first messages.
     """
     lines = []
     delays: dict[str, float] = {}

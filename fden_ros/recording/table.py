@@ -34,16 +34,10 @@ _ALIKE, _LEAST_CHANGES = 0.8, 10
 
 @dataclass(frozen=True)
 class Column:
-    """A column by its heading or its number from 1.
-
-    Parameters
-    ----------
-    name : str
-    factor : float, optional
-        What its numbers are multiplied by; None: as the unit in its heading says.
-    """
+    """A column by its heading or its number from 1."""
 
     name: str
+    #: What its numbers are multiplied by; None: as the unit in its heading says.
     factor: float | None = None
 
     def __str__(self) -> str:

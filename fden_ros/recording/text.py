@@ -56,32 +56,16 @@ Line = tuple[int, str]
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text table is written, and its lines.
-
-    Parameters
-    ----------
-    path : Path
-    delimiter : str
-        A blank stands for any number of them.
-    decimal : str
-        A point or a comma.
-    preamble : tuple of str
-        What stands before the headings, a line each.
-    headings : tuple of Heading
-        Of every column, with the unit of a row below; without text where it has none.
-    lines : tuple of (int, str)
-        The rows with their numbers from 1, without comments and blank lines.
-    sample : tuple of tuple of str
-        Cells of the first rows.
-    """
+    """How a text table is written, and its lines."""
 
     path: Path
-    delimiter: str
-    decimal: str
-    preamble: tuple[str, ...]
+    delimiter: str  #: a blank stands for any number of them
+    decimal: str  #: a point or a comma
+    preamble: tuple[str, ...]  #: what stands before the headings, a line each
+    #: Of every column, with the unit of a row below; without text where it has none.
     headings: tuple[Heading, ...]
-    lines: tuple[Line, ...]
-    sample: tuple[tuple[str, ...], ...]
+    lines: tuple[Line, ...]  #: the rows with their numbers from 1, no comments, no blank lines
+    sample: tuple[tuple[str, ...], ...]  #: cells of the first rows
 
     @property
     def names(self) -> str:
