@@ -69,19 +69,10 @@ def last(places: np.ndarray, forces: np.ndarray, **options: float) -> Slopes:
 
 
 def outputs_of(
-    places: np.ndarray, forces: np.ndarray, *, at_once: int = 1, **own: object
+    places: np.ndarray, forces: np.ndarray, **own: object
 ) -> tuple[Pipeline, list[Output]]:
-    """Return what the pipeline puts out: so many samples of a stream come at once."""
-    pipeline, outputs = begun(own)
-    stamps = [START_NS + round(n / RATE * NANOSECONDS) for n in range(len(places))]
-    for start in range(0, len(stamps), at_once):
-        part = slice(start, start + at_once)
-        for stamp_ns, place in zip(stamps[part], places[part].tolist(), strict=True):
-            pipeline.add_displacement(stamp_ns, place)
-        for stamp_ns, force in zip(stamps[part], forces[part].tolist(), strict=True):
-            pipeline.add_force(stamp_ns, force)
-    pipeline.finish()
-    return pipeline, outputs
+    """Return what the pipeline puts out of samples on one clock."""
+    return of_columns(own, np.arange(len(places)) / RATE, forces, places)
 
 
 def states_of(outputs: list[Output]) -> list[TissueState]:
@@ -203,13 +194,13 @@ def test_steps_of_an_encoder_are_no_turns():
 
 
 @functools.cache
-def pressed(at_once: int = 1) -> list[Output]:
+def pressed() -> list[Output]:
     """Return what comes of a press of a spring from the air, touched at 1 mm."""
     places = way((0.0, 1.0), (-0.002, 0.1), (0.005, 1.4), (0.005, 0.5), (-0.002, 1.4))
     places, draw = np.concatenate([places, np.full(500, -0.002)]), np.random.default_rng(2)
     read = places + 1e-3 + 1e-6 * draw.standard_normal(places.size)
     forces = SPRING * np.maximum(places, 0.0) + 1e-3 * draw.standard_normal(places.size)
-    return outputs_of(read, forces, at_once=at_once)[1]
+    return outputs_of(read, forces)[1]
 
 
 def summary() -> ContactSummary:
@@ -227,15 +218,6 @@ def test_contact_has_the_slopes_where_it_was_deepest():
     assert states[-1].status is Status.NO_CONTACT and states[-1].measured == NOT_MEASURED
 
 
-@pytest.mark.parametrize("at_once", [7, 50])
-def test_how_samples_come_makes_no_difference(at_once):
-    alone, together = (
-        [(o.stamp_ns, repr(o.measured)) for o in outputs if isinstance(o, TissueState)]
-        for outputs in (pressed(), pressed(at_once))
-    )
-    assert alone == together
-
-
 def test_recording_that_begins_in_contact_is_measured():
     places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
     forces = SPRING * places + 1e-3 * np.random.default_rng(2).standard_normal(places.size)
@@ -249,7 +231,7 @@ def test_continuous_contact_is_measured():
     places = 0.004 + 5e-4 * np.sin(2.0 * np.pi * 1.5 * seconds)
     forces = SPRING * places - 7.0 + 1e-3 * np.random.default_rng(4).standard_normal(places.size)
     _, outputs = outputs_of(places, forces, **CONTINUOUS)
-    states = [state.measured for state in states_of(outputs) if state.stamp_ns > 2 * START_NS]
+    states = [state.measured for state in states_of(outputs)[200:]]
     found = [one for both in states for one in both]
     assert all(one and abs(one.value - SPRING) < 5.0 * one.sd for one in found)
     assert np.median([one.value for one in found]) == pytest.approx(SPRING, rel=0.01)

@@ -52,9 +52,7 @@ class ForceControlConfig:
     def __post_init__(self) -> None:
         for name in ("safe_stiffness", "force_limit", "bandwidth", "reaction_time"):
             if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"force control: {name} is {getattr(self, name)}; it must be positive"
-                )
+                raise InputError(f"{name} is {getattr(self, name)}; it must be positive")
 
 
 #: rho: the ratio by which tissue may suddenly stiffen [1].
@@ -65,10 +63,8 @@ _MAX_SPEED = 0.05
 _LEAST_STIFFNESS = 0.1
 #: The secant is taken over 25 ms [s] and 20 um [m] at least, less a multiple of its deviation.
 _WINDOW, _LEAST_MOTION, _CERTAIN = 0.025, 2e-5, 3.0
-#: Up to this ratio of measured to estimated stiffness the estimate is believed.
-_BELIEVED = 1.5
-#: A measured stiffening is forgotten at this rate while the probe moves [1/s].
-_FORGETTING = 2.0
+#: Up to this ratio to it the estimate is believed; more is forgotten at this rate [1/s].
+_BELIEVED, _FORGETTING = 1.5, 2.0
 #: The integral acts within this part of the target, at this part of the bandwidth.
 _NEAR, _INTEGRAL_PART = 0.1, 0.25
 
@@ -105,7 +101,7 @@ class ForceController:
         if force < config.touch_force:
             self._forget()
             return config.approach_speed if target > 0.0 else -config.approach_speed
-        self._schedule(time, force, depth, known, elapsed)
+        self._schedule(self._measured_stiffness(time, force, depth), known, elapsed)
         error = target - force
         rate = config.bandwidth * error + self._integrate(error, target, elapsed)
         guard = GUARDED_STIFFENING * config.reaction_time
@@ -128,12 +124,7 @@ class ForceController:
         return self.config.bandwidth * self._integral
 
     def _schedule(
-        self,
-        time: float,
-        force: float,
-        depth: float,
-        known: tuple[float, float] | None,
-        elapsed: float,
+        self, measured: float | None, known: tuple[float, float] | None, elapsed: float
     ) -> None:
         safe = self.config.safe_stiffness
         if known is None:
@@ -143,7 +134,6 @@ class ForceController:
             # Cautious: the value and its deviation.
             least = min(_LEAST_STIFFNESS, safe)
             self.gains, self._known = Gains.LIVE, max(known[0] + known[1], least)
-        measured = self._measured_stiffness(time, force, depth)
         if measured is not None:
             forgotten = 1.0 + (self._stiffening - 1.0) * math.exp(-_FORGETTING * elapsed)
             self._stiffening = max(measured / self._known / _BELIEVED, forgotten)

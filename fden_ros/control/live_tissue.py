@@ -44,8 +44,7 @@ _LONGEST_STEP, _LONGEST_STEP_RATIO = 0.05, 1.5
 #: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
 #: says: where it is off by a fifth, pressed tissue would seem free.
 _UNLOADED_PART = 0.05
-#: The force contradicts what was known where three estimates in a row miss it by more than 20 %
-#: of what was predicted and by five deviations.
+#: Three estimates in a row contradict by 20 % of the predicted force and five deviations.
 _MISSED_PART, _MISSED_NIS, _MISSES = 0.2, 25.0, 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
 _DELAY_LEAK = 1e-4
@@ -114,10 +113,9 @@ class Reading:
 class LiveTissue:
     """What is known now, from estimates as they arrive; calls from several threads are safe.
 
-    `now` is the time by a clock that never jumps [s]; without it by ``time.monotonic``.
-
-    Its parameters are those of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how
-    often the identifier began anew, whose memory of the tissue is gone then.
+    `now` is the time by a clock that never jumps [s], or ``time.monotonic``. Parameters are those
+    of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how often the identifier began
+    anew, whose memory of the tissue is gone then.
     """
 
     def __init__(
@@ -141,12 +139,9 @@ class LiveTissue:
         self._forget()
 
     def _forget(self) -> None:
-        self._memory, self._memory_site = TissueMemory(), -1
-        self._memory_ns, self._step = 0, 0.0
-        self._is_memory_whole = False
-        self._peak_stress = 0.0
-        self._misses = 0
-        self._contradicted = -1
+        self._memory, self._memory_site, self._memory_ns = TissueMemory(), -1, 0
+        self._is_memory_whole, self._step, self._peak_stress = False, 0.0, 0.0
+        self._misses, self._contradicted = 0, -1
 
     # Input
 
@@ -218,11 +213,7 @@ class LiveTissue:
             return Stiffness(slope.value, slope.sd, slope.depth)
 
     def measured(self, now: float | None = None) -> Slopes:
-        """Return the slopes of force over displacement of the newest loading and unloading.
-
-        As they are measured: no law, convergence or touch is needed. None of both while no
-        estimate comes in time.
-        """
+        """Return the slopes as they are measured; none while no estimate comes in time."""
         with self._lock:
             if self._state is None or self._cause(_time(now)) in _WITHOUT_STATE:
                 return NOT_MEASURED
@@ -231,13 +222,8 @@ class LiveTissue:
     def predictor(self, now: float | None = None) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
 
-        None if there is no estimate to rely on, or if its contact was not heard from the touch
-        on: then the memory is not known.
-
-        Raises
-        ------
-        InputError
-            If there is no geometry.
+        None if there is no estimate to rely on, or the memory is not known: its contact was not
+        heard from the touch on. :class:`InputError` if there is no geometry.
         """
         if self._geometry is None:
             raise InputError("a prediction needs a geometry: give parameters= or geometry=")

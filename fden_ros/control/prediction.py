@@ -10,8 +10,8 @@ The exponential moments of the measured stress hold what the tissue remembers. A
 so that the prediction begins at what is measured now, and what law and rig leave out at present
 stays as it is.
 
-The interval is first-order: differences by the law's parameters and r, under their covariance and
-the variance of the last innovation. To it comes the variance by which what is left out may grow,
+The interval is first-order in the law's parameters and r. To it comes the variance by which what
+is left out may grow,
 
 .. math::
     v(t) = \int 2 f^2 \sigma_c^2\,|d\ln\varphi| + (k^2\sigma_s^2 + c^2\sigma_d^2)\,dt
@@ -50,12 +50,9 @@ _POINTS = 40
 _DERIVATIVE_PART = 0.1
 #: Least elastic response, by its slope at small strain, whose relative change counts [1].
 _LEAST_RESPONSE = 1e-3
-#: The law alone does not know where the relaxation leaves it: its relative deviation is this
-#: multiple of the stated one [1]. At the end of a ramp a linear solid of 1 s looks like the law of
-#: a wrong alpha.
-_LAW_ALONE = 2.0
-#: Least age of a loading [s]: that of one block.
-_LEAST_AGE = 0.01
+#: Multiple of the stated deviation of the relaxation: at the end of a ramp a linear solid of 1 s
+#: looks like the law of a wrong alpha. Least age of a loading [s]: that of one block.
+_LAW_ALONE, _LEAST_AGE = 2.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -72,13 +69,7 @@ class Prediction:
 
 
 class TissueMemory:
-    """The stress that a place has borne, in constant memory.
-
-    Attributes
-    ----------
-    strain, stress : float
-        At present [1], [Pa]; 0 in the air.
-    """
+    """The stress that a place has borne, in constant memory; `strain` [1], `stress` [Pa] now."""
 
     def __init__(self) -> None:
         self._moments = StressMoments()
@@ -149,10 +140,7 @@ class Predictor:
         return Prediction(wanted, value, scale * np.interp(wanted, grid, sd))
 
     def _stress(self, steps: Array, strains: Array) -> tuple[Array, Array]:
-        """Return the stress at the ends of steps [s] and its deviation [Pa], shape (n,) each.
-
-        `strains`: at present and at those ends [1], shape (n + 1,).
-        """
+        """Return the stress at the ends of steps [s] and its deviation [Pa], shape (n,) each."""
         values, axes = np.linalg.eigh(self.estimate.covariance)
         # Towards a curve that bends: where the other has no effect, that may have.
         signs = np.copysign(1.0, axes[1])
@@ -215,12 +203,8 @@ def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     planned = np.atleast_1d(np.asarray(values, dtype=float))
     if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
-        raise InputError(
-            f"plan: {instants.shape} times and {planned.shape} displacements; give as many of each"
-        )
+        raise InputError(f"plan: {instants.shape} times, {planned.shape} ways: give as many")
     steps = np.diff(instants, prepend=0.0)
     if not (np.all(steps > SHORTEST_STEP) and np.all(np.isfinite([steps, planned]))):
-        raise InputError(
-            "plan: times must increase from 0 by more than 10 µs each, and displacements be finite"
-        )
+        raise InputError("plan: times must increase by more than 10 µs, and ways be finite")
     return instants, planned

@@ -56,10 +56,7 @@ class Decider:
         self._since_ns = 0
 
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
-        """Take the newest probabilities; return the label, empty while there is none.
-
-        `last`: no more come, so that another answer replaces the label at once.
-        """
+        """Take probabilities, or the `last`; return the label, empty while there is none."""
         candidate = self._answer(classes)
         if candidate == self.label:
             self._candidate = candidate
@@ -75,9 +72,8 @@ class Decider:
         if not classes.is_observable:
             return ""
         own = dict(zip(classes.names, classes.probabilities, strict=True))
-        is_unknown = self.label == UNKNOWN
-        limit = config.significance * (_KNOWN_AGAIN if is_unknown else 1.0)
-        if classes.p_value < limit:
+        factor = _KNOWN_AGAIN if self.label == UNKNOWN else 1.0
+        if classes.p_value < factor * config.significance:
             return UNKNOWN
         best = max(own, key=lambda name: own[name])
         if own[best] >= config.probability:
@@ -133,9 +129,7 @@ class Labeller:
     @property
     def library_name(self) -> str:
         """Name of the library in use; empty: none is."""
-        if self.surroundings is not None or self.library is None:
-            return ""
-        return self.library.name
+        return self.library.name if self.library and self.surroundings is None else ""
 
     def forget(self, site_id: int | None = None) -> None:
         """Compare with a site no more; None: with none of those so far."""
@@ -146,11 +140,9 @@ class Labeller:
         self, site_id: int, estimate: Estimate
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
-        config = self.estimator
-        learns = config.learns_fractional_order
-        likelihood = likelihood_of(
-            estimate.mean, estimate.covariance, config.prior, order_counts=learns
-        )
+        learns, prior = self.estimator.learns_fractional_order, self.estimator.prior
+        posterior = estimate.mean, estimate.covariance
+        likelihood = likelihood_of(*posterior, prior, order_counts=learns)
         if self.surroundings is not None:
             return self.surroundings.classes(site_id, estimate, likelihood)
         if self.library is not None:
@@ -178,10 +170,9 @@ class Labelling:
         has_changed: bool,
         is_mismatch: bool,
     ) -> Iterator[Answer]:
-        """Take what is known after a block; give each answer that differs from the last.
+        """Take what is known after a numbered block; give each answer that differs from the last.
 
-        `max_strain` so far [1]; `block` is its number; `has_changed`: the tissue has,
-        under the probe; `is_mismatch`: the model does not describe the contact.
+        `has_changed`: the tissue under the probe; `is_mismatch`: the model does not describe it.
         """
         before = self._answer.classes
         if has_changed and before is not None:

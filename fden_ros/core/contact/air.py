@@ -156,7 +156,8 @@ class Air(NamedTuple):
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
 
-    Chunks older than the lookback, and than 24 chunks last, are forgotten.
+    Those of the lookback are kept, and the newest 24: the air before a long contact stands in for
+    that after it until that is known.
     """
 
     def __init__(self, config: ContactConfig) -> None:
@@ -168,35 +169,30 @@ class Baseline:
         self.is_suspected = False  #: a slow contact may be on
         self.thresholds: Array = np.zeros(len(SCALES))  #: least means that are no air [N]
         self._chunks: deque[Chunk] = deque()
-        self._count = self._chunk_ns = 0
+        self._count = 0
         self._air: Air | None = None
-        self._is_carried = False  # the air before a long contact stands in for that after it
 
     @property
     def drift(self) -> float:
         """Trend of the force in the air [N/s]; 0: not significant, or the bias is given."""
         return self._air.slope if self._air and self._config.measure_bias else 0.0
 
-    @property
-    def reach_ns(self) -> int:
-        """How far back the air is remembered [ns]: for the lookback, or 24 chunks if longer."""
-        stated_ns = round(self._config.lookback * NANOSECONDS)
-        return max(stated_ns, 2 * _ENOUGH_CHUNKS * self._chunk_ns)
-
     def mean(self) -> float | None:
         """Return the mean of the chunks [N]; None while there are fewer than 5."""
         return None if len(self._chunks) < MIN_CHUNKS else _mean_of(tuple(self._chunks))[0]
+
+    def is_old(self, stamp_ns: int, now_ns: int) -> bool:
+        """Whether a stamp lies before the lookback."""
+        return now_ns - stamp_ns > self._config.lookback * NANOSECONDS
 
     def keep(self, chunk: Chunk) -> None:
         """Take a chunk in the air."""
         chunks = self._chunks
         # A clock that jumped back has left chunks ahead.
         self._drop_since(chunk.start_ns)
-        if chunks and chunk.start_ns - chunks[-1].end_ns <= chunk.end_ns - chunk.start_ns:
-            self._chunk_ns = chunk.start_ns - chunks[-1].start_ns
         chunks.append(chunk)
         self._count += 1
-        while chunk.start_ns - chunks[0].start_ns > self.reach_ns:
+        while len(chunks) > 2 * _ENOUGH_CHUNKS and self.is_old(chunks[0].start_ns, chunk.start_ns):
             chunks.popleft()
 
     def before(self, chunk: Chunk) -> Air | None:
@@ -204,17 +200,12 @@ class Baseline:
         chunks, config = tuple(self._chunks), self._config
         is_few = len(chunks) < _ENOUGH_CHUNKS and sum(c.size for c in chunks) < _MIN_AIR_SAMPLES
         if is_few or len(chunks) < MIN_CHUNKS:
-            # The next touch may come before the air is known anew.
-            self._is_carried = self._air is not None
-            if self._air is not None or self.is_measured:
-                return self._air
-            if not (config.force_noise or config.force_threshold):
+            if self.is_measured or not (config.force_noise or config.force_threshold):
                 return None
             return self._measured(chunks or (chunk._replace(square_sum=0.0),))
         # Not while a slow contact may be on, or the baseline would creep along with it.
-        is_due = self._is_carried or self._count % _AIR_EVERY == 0
-        if self._air is None or (is_due and not self.is_suspected):
-            self._is_carried = False
+        is_due = self._count % _AIR_EVERY == 0 and not self.is_suspected
+        if self._air is None or is_due:
             old = tuple(one for one in chunks if one.end_ns <= chunk.start_ns - SLOW_NS)
             self._air = self._measured(max(old, chunks[: -(-len(chunks) // 2)], key=len))
         return self._air

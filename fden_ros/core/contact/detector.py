@@ -48,8 +48,8 @@ RETRY, _OVER = 0.1, 0.7
 _COLOUR, LONG_WINDOW = 1.5, 1.0
 #: From half of what is a contact on, a slow one may be on, and the baseline stands still.
 _SUSPICION = 0.5
-#: At most this number of samples in the air is kept, whatever the sampling rate.
-_MAX_LOOKBACK_SAMPLES = 40_000
+#: Samples of the lookback that are kept at least, and at most.
+_LEAST_LOOKBACK, _MOST_LOOKBACK = 72, 40_000
 #: A contact ends when the mean over as many chunks as detected it, at least 2, is below half of
 #: what is a contact, ...
 _RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
@@ -157,7 +157,7 @@ class ContactDetector:
         """Forget all samples, the baseline and the contact."""
         #: Newest time at which what was taken for the air turned out to be a contact.
         self.left_unseen_ns: int | None = None
-        self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
+        self._samples: deque[Pair] = deque(maxlen=_MOST_LOOKBACK)
         self._baseline, self._chunks = Baseline(self._config), Chunks()
         self._press: _Press | None = None
         self._rise, self._has_released = _Rise(), False
@@ -183,8 +183,8 @@ class ContactDetector:
                 samples.pop()  # the clock has jumped back
             self._baseline.resolution.add(pair.force)
         samples.append(pair)
-        reach_ns = self._baseline.reach_ns
-        while samples[0].stamp_ns < pair.stamp_ns - reach_ns:
+        is_old = self._baseline.is_old
+        while len(samples) > _LEAST_LOOKBACK and is_old(samples[0].stamp_ns, pair.stamp_ns):
             samples.popleft()
         chunk = self._chunks.add(pair)
         if chunk is None:

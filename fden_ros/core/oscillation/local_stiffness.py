@@ -26,15 +26,12 @@ _DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
 _SCATTER_DISCOUNT, _EVIDENCE_DISCOUNT = 0.95, 0.85
 #: Least weight of a model.
 _LEAST_WEIGHT = 0.005
-#: Degrees of freedom with which the scatter of the first window is believed, and multiple of
-#: its white noise that is expected: what is not white is most of it.
-_FIRST_FREEDOM, _COLOUR = 1.0, 3.0
-#: A window enters the scatter as at most this normalised square beyond that of the model it
-#: surprises least: an edge that is crossed is no noise for all time.
+#: Degrees of freedom with which the scatter of the first window is believed, multiple of its white
+#: noise that is expected, and least for a standard deviation, after four windows.
+_FIRST_FREEDOM, _COLOUR, _LEAST_FREEDOM = 1.0, 3.0, 3.5
+#: A window enters the scatter as at most this normalised square beyond that of the model that it
+#: fits best: an edge that is crossed is no noise for all time.
 _MOST_SQUARE = 5.0
-#: Least degrees of freedom for a standard deviation, after four windows: a t has a variance above
-#: 2.
-_LEAST_FREEDOM = 3.5
 
 
 class Stiffness(NamedTuple):
@@ -64,11 +61,7 @@ class LocalStiffness:
         self._log_weights = np.zeros(count)
 
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
-        """Take a window.
-
-        `stiffness` is F / X [N/m], `amplitude` |X| [m], positive, and `sd` the standard deviation
-        of either part of the stiffness by the white noise alone [N/m].
-        """
+        """Take a window: F / X [N/m], |X| [m], and the deviation by white noise alone [N/m]."""
         information = amplitude**2
         self.windows += 1
         if self.windows == 1:

@@ -42,11 +42,9 @@ _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
 #: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
 #: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
 _LARGEST_ORDER, _STATED = 0.35, 2.0
-#: Periods of a window, and harmonics that are fitted with the trend: with one period, or without
-#: the second harmonic, the harmonics of a nonlinear tissue pass for trend.
-_PERIODS, _HARMONICS = 2, (1.0, 2.0)
-#: What a window shows is current for this many windows.
-_CURRENT = 2.5
+#: Periods of a window, harmonics fitted with the trend, without which those of a nonlinear
+#: tissue pass for it, and for how many windows a result is current.
+_PERIODS, _HARMONICS, _CURRENT = 2, (1.0, 2.0), 2.5
 
 
 class Palpated(NamedTuple):

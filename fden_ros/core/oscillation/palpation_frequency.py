@@ -16,15 +16,10 @@ from fden_ros.core.arrays import Array
 _RATE = 32.0
 _MOST, _LEAST, _EVERY = 256, 96, 16
 #: Palpation lies within these [Hz], and has been seen for 3 periods.
-_SLOWEST, _FASTEST = 0.4, 5.0
-_PERIODS = 3.0
-#: Points of the spectrum, with zeros: steps of 1/64 Hz.
-_POINTS = 2048
-#: The velocity of a palpation has this share of its power in one peak.
-_LEAST_SHARE = 0.5
-#: Another frequency is taken when it differs by this share: two periods are still told from
-#: the trend.
-_CHANGE = 0.04
+_SLOWEST, _FASTEST, _PERIODS = 0.4, 5.0, 3.0
+#: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
+#: of its power in one peak; another frequency is taken when it differs by this share.
+_POINTS, _LEAST_SHARE, _CHANGE = 2048, 0.5, 0.04
 
 
 class PalpationFrequency:
