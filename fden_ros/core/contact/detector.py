@@ -53,8 +53,9 @@ _LEAST_LOOKBACK, _MOST_LOOKBACK = 72, 40_000
 #: A contact ends when the mean over as many chunks as detected it, at least 2, is below half of
 #: what is a contact, ...
 _RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
-#: ... or when the probe is behind the surface by this share of its deepest penetration.
-_RETREAT = 0.2
+#: ... or when the probe is behind the surface by this share of its deepest penetration. One that
+#: holds still, within this share of that, does not leave: the tissue relaxes.
+_RETREAT, _HELD = 0.2, 0.05
 #: Inertia counts where its largest force in the air is more than this share of the contact's.
 _INERTIAL = 0.05
 
@@ -107,8 +108,8 @@ class _Press:
         self.release_force = _RELEASE_SHARE * self._clear
         self._low = _RELEASE_SHARE * excess.threshold
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
-        self._newest: deque[Chunk] = deque()
-        self._behind_chunks = 0
+        self._newest: deque[tuple[Chunk, bool]] = deque()  # and whether the probe held at its end
+        self._behind_chunks, self._has_held = 0, False
         #: The probe has left with a force that is drift of the sensor: there is no tissue.
         self.is_behind = False
 
@@ -128,11 +129,17 @@ class _Press:
             self.is_behind = not is_low
             return chunk.start_ns
         newest = self._newest
-        newest.append(chunk)
+        is_held = self._deepest - pair.displacement < _HELD * (self._deepest - self._surface)
+        newest.append((chunk, is_held))
         while len(newest) > self._averaged:
             newest.popleft()
-        mean = math.fsum(one.size * one.mean for one in newest) / sum(one.size for one in newest)
-        return newest[0].start_ns if len(newest) == self._averaged and mean < level else None
+        # From a hold on, until the probe moves back, it is relaxation that lowers the force.
+        was_held = newest[max(len(newest) // 2 - 1, 0)][1]
+        self._has_held = is_held and (self._has_held or was_held)
+        size = sum(one.size for one, _ in newest)
+        mean = math.fsum(one.size * one.mean for one, _ in newest) / size
+        has_left = len(newest) == self._averaged and mean < level and not self._has_held
+        return newest[0][0].start_ns if has_left else None
 
 
 class ContactDetector:
