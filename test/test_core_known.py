@@ -29,7 +29,7 @@ from fden_ros.core.estimation import (
     StateIndex,
 )
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
-from fden_ros.offline.advice import remarks
+from fden_ros.offline.advice import findings
 from fden_ros.offline.replay import contact_object
 from fden_ros.offline.rows import contact_row
 from fden_ros.report.table import status_words
@@ -108,7 +108,7 @@ def test_of_near_linear_material_g_is_known_and_gn_is_said_not_to_be_observable(
     assert estimate.observable == estimate.known == G | ALPHA
     assert np.all(np.abs(off(estimate, LINEAR)[[0, 2]]) < 4.0)
     assert status_words(summary) == "G known"
-    (said,) = remarks(summary, CONFIG)
+    (said,) = map(str, findings(summary, CONFIG))
     assert said.startswith("G is known, Gn is not observable: the strain reached 0.2")
     assert "press deeper" not in said
     found = contact_object(summary)
@@ -156,7 +156,7 @@ def test_what_lies_at_an_end_of_its_prior_is_said_and_nothing_is_known():
     assert summary.flags & Flag.AT_PRIOR_LIMIT and not summary.converged
     assert estimate.at_edge == G and estimate.known == ParameterSet.NONE
     assert "at prior limit" in status_words(summary)
-    said = " ".join(remarks(summary, CONFIG))
+    said = " ".join(map(str, findings(summary, CONFIG)))
     assert "a limit of its prior" in said and "prior knowledge" not in said
     for state in states_of(pressed(BEYOND, stated=stated)):
         assert state.estimate is not None

@@ -88,7 +88,7 @@ def test_what_may_be_the_air_of_a_force_of_the_wrong_sign_is_no_result(
     table = written(tmp_path / "wrong.csv", (time, -force, -depth))
     assert fden("replay", table, "--config", config) == 3
     printed = capsys.readouterr()
-    assert "do both have the wrong sign" in printed.err
+    assert "change both signs" in printed.err
     assert "N/m known" not in " ".join(printed.out.split())
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import KEYS, Budget, Estimate
+from fden_ros.advice import INPUTS
+from fden_ros.core.estimation import KEYS
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes
@@ -32,6 +32,13 @@ _PROGRESS_STEP = 500
 
 #: Keys of the measured slopes, of loading and of unloading.
 MEASURED_KEYS = ("measured_slope", "measured_slope_unloading")
+#: Keys of a contact, and the fields of its summary.
+_FIELDS = {
+    "contact_id": "contact_id", "site": "site_id", "start_ns": "start_ns", "end_ns": "end_ns",
+    "position": "position", "frame": "position_frame", "converged": "converged",
+    "complete": "complete", "max_strain": "max_strain", "max_stress": "max_stress",
+    "max_force": "max_force", "samples": "sample_count",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,17 +85,10 @@ class Replay:
 class _Watched(Pipeline):
     """A pipeline that shows each pair of samples before it takes it."""
 
-    def __init__(
-        self,
-        config: PipelineConfig,
-        emit: Callable[[Output], None],
-        on_pair: Callable[[Pair], None],
-    ) -> None:
-        self._show = on_pair
-        super().__init__(config, emit)
+    show: Callable[[Pair], None]
 
     def _on_pair(self, pair: Pair) -> None:
-        self._show(pair)
+        self.show(pair)
         super()._on_pair(pair)
 
 
@@ -116,19 +116,11 @@ def replay_source(
     on_input: Callable[[int, RawMessage | None, Pipeline], None] = lambda *_: None,
     on_pair: Callable[[Pair], None] = lambda pair: None,
 ) -> Replay:
-    """Run what is read through the pipeline.
+    """Run what is read through the pipeline, and show its `progress` on standard error.
 
-    Parameters
-    ----------
-    progress : bool
-        Show a progress bar on standard error.
-    on_output : callable
-        Called with every output and the frame of the force.
-    on_input : callable
-        Called before each message or row with its time of recording (ns), the message or None,
-        and the pipeline.
-    on_pair : callable
-        Called with every pair of force and displacement.
+    `on_output` is called with every output and the frame of the force, `on_input` before each
+    message or row with its time of recording (ns), the message or None, and the pipeline, and
+    `on_pair` with every pair of force and displacement.
     """
     summaries: list[ContactSummary] = []
 
@@ -144,7 +136,8 @@ def replay_source(
     def before(log_time_ns: int, message: RawMessage | None) -> None:
         on_input(log_time_ns, message, pipeline)
 
-    pipeline = _Watched(pipeline_config(source.parameters), keep, on_pair)
+    pipeline = _Watched(pipeline_config(source.parameters), keep)
+    pipeline.show = on_pair
     with bar("replaying", source.total, visible=progress) as show:
         for done in source.feed(pipeline, before):
             if done % _PROGRESS_STEP == 0:
@@ -155,11 +148,7 @@ def replay_source(
     return Replay(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
-        warnings=(
-            *source.warnings,
-            *_warnings(pipeline, summaries),
-            *_assumed(pipeline, summaries),
-        ),
+        warnings=(*source.warnings, *_warnings(pipeline, summaries)),
         summaries=tuple(summaries),
         inputs=source.inputs,
         parameters=source.parameters,
@@ -174,33 +163,20 @@ def replay_source(
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     odd = pipeline.warnings
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in odd.items()]
-    is_explained = len(odd) > len(pipeline.problems)
     warnings += map(str, pipeline.failures)
     if pipeline.unusual_rejections:
         rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
-    if is_explained:
-        return warnings
-    if not pipeline.pair_count:
-        warnings.append(
-            "no pair of force and displacement: do the stamps of the two topics overlap?"
-        )
-    elif not summaries:
-        warnings.append(
-            "no contact was found: check force.axis and displacement.axis (both grow as the probe "
-            "presses) and force.threshold"
-        )
-    return warnings
-
-
-def _assumed(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
-    """Return what is assumed of the thickness, where G rests on it."""
-    geometry = pipeline.config.geometry
+    if len(odd) == len(pipeline.problems) and not summaries:
+        code = "no contact" if pipeline.pair_count else "no pair"
+        warnings.append(str(INPUTS[code]))
+    # What is assumed of the thickness, where G rests on it.
     strains = [summary.max_strain for summary in summaries if summary.estimate is not None]
-    if not strains:
-        return []
-    words = thickness.assumed(geometry, geometry.length * geometry.compression(max(strains)))
-    return [words] if words else []
+    if strains:
+        geometry = pipeline.config.geometry
+        depth = geometry.length * geometry.compression(max(strains))
+        warnings += filter(None, [thickness.assumed(geometry, depth)])
+    return warnings
 
 
 def result_object(result: Replay) -> dict[str, Any]:
@@ -218,46 +194,44 @@ def result_object(result: Replay) -> dict[str, Any]:
 
 def contact_object(summary: ContactSummary) -> dict[str, Any]:
     """Return one contact as a JSON-ready object; what was not estimated is null."""
-    estimate, stiffness = summary.estimate, summary.apparent_stiffness
-    numbers = estimate.numbers if estimate is not None else {}
-    decided, compared, classes = summary.decided, summary.comparison, summary.classes
-    low, high = compared.interval() if compared is not None else (None, None)
+    estimate, budget, classes = summary.estimate, summary.budget, summary.classes
+    low, high = summary.comparison.interval() if summary.comparison else (None, None)
+    sets = ("observable", "converged", "prior_limit")
+    known = (estimate.observable, estimate.known, estimate.at_edge) if estimate else ()
+    numbers = estimate.numbers if estimate else {}
     return {
-        "contact_id": summary.contact_id,
-        "site": summary.site_id,
-        "start_ns": summary.start_ns,
-        "end_ns": summary.end_ns,
-        "position": summary.position,
-        "frame": summary.position_frame,
+        **{name: getattr(summary, field) for name, field in _FIELDS.items()},
         **{key: numbers.get(name) for key, name in KEYS.items()},
-        "apparent_stiffness": stiffness.value if stiffness is not None else None,
-        "apparent_stiffness_sd": stiffness.sd if stiffness is not None else None,
-        "apparent_stiffness_time_scale": stiffness.time_scale if stiffness is not None else None,
+        "apparent_stiffness": getattr(summary.apparent_stiffness, "value", None),
+        "apparent_stiffness_sd": getattr(summary.apparent_stiffness, "sd", None),
+        "apparent_stiffness_time_scale": getattr(summary.apparent_stiffness, "time_scale", None),
         **measured_object(summary.measured),
         "alpha_source": summary.order_source.name.lower(),
-        "converged": summary.converged,
-        "observable_parameters": list(estimate.observable.names) if estimate is not None else [],
-        "converged_parameters": list(estimate.known.names) if estimate is not None else [],
-        "prior_limit_parameters": list(estimate.at_edge.names) if estimate is not None else [],
-        "covariance": estimate.covariance.tolist() if estimate is not None else None,
-        "components": _components_object(estimate),
-        "complete": summary.complete,
+        **{f"{name}_parameters": [] for name in sets},
+        **{f"{name}_parameters": list(one.names) for name, one in zip(sets, known, strict=False)},
+        "covariance": estimate.covariance.tolist() if estimate else None,
+        # The modes of (ln G, ln Gn, alpha), whose moments are mean and covariance.
+        "components": [
+            {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
+            for m in (estimate.mixture if estimate else ())
+        ],
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
-        "max_strain": summary.max_strain,
-        "max_stress": summary.max_stress,
-        "max_force": summary.max_force,
-        "samples": summary.sample_count,
-        "label": classes.label if classes is not None else "",
+        "label": classes.label if classes else "",
         "probabilities": (
             dict(zip(classes.names, classes.probabilities, strict=True)) if classes else {}
         ),
-        "p_value": classes.p_value if classes is not None else None,
-        "decision_time": decided.time if decided is not None else None,
-        "decision_strain": decided.strain if decided is not None else None,
-        "ratio": compared.ratio if compared is not None else None,
+        "p_value": getattr(classes, "p_value", None),
+        "decision_time": getattr(summary.decided, "time", None),
+        "decision_strain": getattr(summary.decided, "strain", None),
+        "ratio": getattr(summary.comparison, "ratio", None),
         "ratio_low": low,
         "ratio_high": high,
-        "uncertainty_budget": _budget_object(summary.budget),
+        # Which part of the variances of ln G and ln Gn comes from each source.
+        "uncertainty_budget": budget
+        and {
+            name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)}
+            for name in budget.parts
+        },
     }
 
 
@@ -270,21 +244,3 @@ def measured_object(measured: Slopes) -> dict[str, float | None]:
         for part, value in zip(("", "_sd", "_depth"), (*parts[:2], depth), strict=True):
             found[f"{name}{part}"] = value
     return found
-
-
-def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:
-    """Return the modes of (ln G, ln Gn, alpha), whose moments are mean and covariance."""
-    members = estimate.mixture if estimate is not None else ()
-    return [
-        {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
-        for m in members
-    ]
-
-
-def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
-    """Return which part of the variances of ln G and ln Gn comes from each source."""
-    if budget is None:
-        return None
-    return {
-        name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)} for name in budget.parts
-    }

@@ -42,16 +42,7 @@ def replay_to_bag(
     A message's header stamp is that of the newest sample behind it, its time of recording that of
     the input message that brought it about: played or shown together, both bags are in step.
     Diagnostics come once a second of recording. The bag appears when it is complete, or not at
-    all.
-
-    Parameters
-    ----------
-    bag, parameters, selection, progress
-        As for :func:`fden_ros.offline.replay.replay`.
-    folder : path
-        The bag to make.
-    overwrite : bool
-        Replace a bag that is there.
+    all; `overwrite` replaces one that is there.
 
     Raises
     ------
@@ -62,14 +53,8 @@ def replay_to_bag(
         raise InputError(f"{folder} is the recording itself: choose another place for the results")
     with BagWriter(folder, overwrite=overwrite) as writer:
         recorder = _Recorder(writer)
-        return replay(
-            bag,
-            parameters,
-            selection,
-            progress=progress,
-            on_output=recorder.take,
-            on_input=recorder.tick,
-        )
+        watch = {"on_output": recorder.take, "on_input": recorder.tick}
+        return replay(bag, parameters, selection, progress=progress, **watch)
 
 
 class _Recorder:

@@ -29,20 +29,21 @@ _STATES_A_CONTACT, _STRETCHES = 700, 1500
 
 
 @dataclass
-class Thinned:
-    """A series that halves itself when it grows too long: every 2^k-th of what was added."""
+class Contact:
+    """One contact: its summary and every 2^k-th state that led to it, of a bounded number."""
 
-    limit: int
-    items: list[Any] = field(default_factory=list)
+    contact_id: int
+    summary: ContactSummary | None = None
+    states: list[Any] = field(default_factory=list)
     _stride: int = 1
     _count: int = 0
 
-    def add(self, item: Any) -> None:
-        """Take the next item."""
+    def add(self, state: TissueState) -> None:
+        """Take the next state; a series that grows too long halves itself."""
         if self._count % self._stride == 0:
-            self.items.append(item)
-            if len(self.items) >= self.limit:
-                del self.items[1::2]
+            self.states.append(state)
+            if len(self.states) >= _STATES_A_CONTACT:
+                del self.states[1::2]
                 self._stride *= 2
         self._count += 1
 
@@ -77,15 +78,6 @@ class Trace:
         middle = self._width_ns // 2 - self.start_ns
         time = (np.array(indices, dtype=np.int64) * self._width_ns + middle) / NANOSECONDS
         return time, np.array([self._rows[index] for index in indices]).reshape(-1, 4)
-
-
-@dataclass
-class Contact:
-    """One contact: its summary and, in detail, what led to it."""
-
-    contact_id: int
-    states: Thinned = field(default_factory=lambda: Thinned(_STATES_A_CONTACT))
-    summary: ContactSummary | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +124,7 @@ def gather(
         elif isinstance(output, TissueState) and output.contact_id:
             is_shown = output.status in (Status.CONVERGING, Status.CONVERGED)
             if is_shown and len(contacts) <= DETAILED_CONTACTS:
-                contact(output.contact_id).states.add(output)
+                contact(output.contact_id).add(output)
 
     result = replay(
         bag, parameters, selection, progress=progress, on_output=take, on_pair=trace.add

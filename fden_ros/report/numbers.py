@@ -45,20 +45,10 @@ def _rounded(value: float, places: int) -> str:
 def result(
     value: float, deviation: float, most_digits: int = 17, *, is_of_data: bool = True
 ) -> str:
-    """Return a positive number as a result, as far as it is one.
+    """Return a positive number, with its deviation to first order, as far as it is a result.
 
     In brackets what the data did not determine. What is no larger than its own standard deviation
-    is stated by its upper bound at 95 %: its logarithm is normal, with the deviation
-    `deviation` / `value`.
-
-    Parameters
-    ----------
-    value, deviation : float
-        Median, and standard deviation to first order.
-    most_digits : int
-        Significant digits of the value at most.
-    is_of_data : bool
-        Whether the data determine it, not the prior.
+    is stated by its upper bound at 95 %: its logarithm is normal, with `deviation` / `value`.
     """
     if not is_of_data:
         return f"({plus_minus(value, deviation, most_digits)})"
@@ -113,16 +103,15 @@ def _at(found: MeasuredSlope, unit: str) -> str:
 
 def law(estimate: Estimate | None) -> str:
     """Return how far the tissue is from the law; empty where that is not known."""
-    if estimate is None or estimate.law_error is None:
+    error = estimate.law_error if estimate is not None else None
+    if estimate is None or error is None:
         return ""
-    error = estimate.law_error
     text = (
         f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
         f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
-    if math.isnan(estimate.plateau_probability):
-        return text
-    return f"{text}; a plateau has a probability of {estimate.plateau_probability:.2f}"
+    plateau = estimate.plateau_probability
+    return text if math.isnan(plateau) else f"{text}; a plateau has a probability of {plateau:.2f}"
 
 
 def _rounded_up(value: float) -> str:

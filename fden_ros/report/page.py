@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from typing import Any
@@ -13,9 +12,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from fden_ros import __version__
-from fden_ros.core.input_warnings import unusual
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, is_path
-from fden_ros.offline.advice import remarks
+from fden_ros.offline.advice import findings
 from fden_ros.offline.session import DETAILED_CONTACTS, Contact, Session
 from fden_ros.report import plots
 from fden_ros.report.numbers import (
@@ -39,6 +37,9 @@ _OPEN_CONTACTS = 8
 _OF_PRESSES = ("G [Pa s^α]", "max strain", "tissue")
 
 
+Facts = Iterator[tuple[str, str]]
+
+
 def page(session: Session) -> str:
     """Return the report as HTML."""
     environment = Environment(
@@ -56,7 +57,7 @@ def page(session: Session) -> str:
         version=__version__,
         lines=lines(session),
         facts=list(_facts(session)),
-        warnings=list(_warnings(session)),
+        warnings=[f"{one[:1].upper()}{one[1:]}." for one in session.replay.warnings],
         drawings=list(_drawings(session, on_path=on_path)),
         is_path=on_path,
         rows=[_row(summary, session, on_path=on_path) for summary in summaries],
@@ -74,14 +75,13 @@ def _drawings(session: Session, *, on_path: bool) -> Iterator[str]:
         yield plots.overview(session)
     if on_path:
         yield plots.path(summaries)
-        return
-    if any(s.position for s in summaries):
+    elif any(s.position for s in summaries):
         yield plots.site_map(session)
-    if len([s for s in summaries if s.estimate]) > 1:
+    if not on_path and len([s for s in summaries if s.estimate]) > 1:
         yield plots.comparison(session)
 
 
-def _facts(session: Session) -> Iterator[tuple[str, str]]:
+def _facts(session: Session) -> Facts:
     start_ns = session.trace.start_ns
     if start_ns >= _FIRST_DATE_NS:
         start = datetime.fromtimestamp(start_ns // 10**9, tz=timezone.utc)
@@ -91,19 +91,10 @@ def _facts(session: Session) -> Iterator[tuple[str, str]]:
         yield stream.capitalize(), name
     for line in session.replay.set_by_recording:
         yield "Set by the recording", line
-    rejected = sum(session.replay.rejected.values())
-    yield "Samples", f"{session.replay.samples:,}, {rejected:,} rejected"
+    rejected = [f"{count:,} rejected ({why})" for why, count in session.replay.rejected.items()]
+    yield "Samples", ", ".join([f"{session.replay.samples:,}", *rejected])
     kind = session.parameters.geometry.kind.replace("_", " ")
     yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
-
-
-def _warnings(session: Session) -> Iterator[str]:
-    for warning in session.replay.warnings:
-        yield warning[:1].upper() + warning[1:] + "."
-    rejected = session.replay.rejected
-    for reason, count in rejected.items() if unusual(Counter(rejected)) else ():
-        stream, _, why = reason.partition(".")
-        yield f"Samples of the {stream} rejected: {count:,} ({why.replace('_', ' ')})."
 
 
 def _row(summary: ContactSummary, session: Session, *, on_path: bool) -> dict[str, Any]:
@@ -142,32 +133,26 @@ def _row(summary: ContactSummary, session: Session, *, on_path: bool) -> dict[st
 def _contact(session: Session, contact: Contact) -> dict[str, Any]:
     summary = contact.summary
     assert summary is not None
-    states, truth = contact.states.items, session.truth.get(summary.site_id)
+    states, truth = contact.states, session.truth.get(summary.site_id)
+    found = map(str, findings(summary, session.config))
     drawings = []
     if any(state.signals is not None for state in states):
-        drawings += [
-            plots.signals(session, contact),
-            plots.characteristic(session, contact, summary),
-        ]
+        drawings += [plots.signals(session, contact)]
+        drawings += [plots.characteristic(session, contact, summary)]
     if any(state.estimate is not None for state in states):
-        drawings.append(plots.convergence(contact, truth))
+        drawings += [plots.convergence(contact, truth)]
+    classes = summary.classes
     return {
         "id": summary.contact_id,
         "title": f"site {summary.site_id}, at {session.seconds(summary.start_ns):.2f} s",
         "facts": list(_contact_facts(summary, truth)),
-        "remarks": list(remarks(summary, session.config)),
+        "remarks": [f"{one[:1].upper()}{one[1:]}." for one in found],
         "drawings": drawings,
-        "classes": (
-            list(zip(summary.classes.names, summary.classes.probabilities, strict=True))
-            if summary.classes is not None
-            else []
-        ),
+        "classes": list(zip(classes.names, classes.probabilities, strict=True)) if classes else [],
     }
 
 
-def _contact_facts(
-    summary: ContactSummary, truth: dict[str, Any] | None
-) -> Iterator[tuple[str, str]]:
+def _contact_facts(summary: ContactSummary, truth: dict[str, Any] | None) -> Facts:
     """Yield what the table has no room for."""
     if summary.position is not None:
         place = ", ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in summary.position)

@@ -17,7 +17,6 @@ from fden_ros.core.law import Geometry, StressMoments, elastic_response, memory_
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.offline.session import Contact, Session
-from fden_ros.parameters import unit_vector
 from fden_ros.report import style
 from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, SHADE, TRUTH, draw
 from fden_ros.written import written
@@ -48,15 +47,9 @@ def overview(session: Session) -> str:
                 axes.axvspan(*span, color=SHADE, zorder=0, linewidth=0)
         middles = [session.seconds((one.start_ns + one.end_ns) // 2) for one in summaries]
         for k in _apart([(x, 0.0) for x in middles], 0.05 * np.ptp(time), 1.0):
-            panels[0].annotate(
-                str(summaries[k].contact_id),
-                (middles[k], 1.0),
-                xycoords=("data", "axes fraction"),
-                ha="center",
-                va="bottom",
-                fontsize=8,
-                color=MUTED,
-            )
+            panels[0].annotate(str(summaries[k].contact_id), (middles[k], 1.0), ha="center",
+                               va="bottom", xycoords=("data", "axes fraction"), fontsize=8,
+                               color=MUTED)  # fmt: skip
         panels[1].set_xlabel("time [s]")
         figure.align_ylabels()
 
@@ -79,16 +72,13 @@ def comparison(session: Session) -> str:
 
     def plot(figure: Figure) -> None:
         for index, axes in enumerate(figure.subplots(2, 1, sharex=True)):
-            key, label = _PARAMETERS[index]
-            for converged, colour, name in (
-                (True, ESTIMATE, "converged, ±2 sd"),
-                (False, MUTED, "not converged, ±2 sd"),
-            ):
+            key, title = _PARAMETERS[index]
+            for converged, colour, name in ((True, ESTIMATE, ""), (False, MUTED, "not ")):
                 chosen = [s for s in known if s.estimate and s.estimate.knows(index) is converged]
                 if chosen:
-                    numbers = [s.contact_id for s in chosen]
+                    numbers, label = [s.contact_id for s in chosen], f"{name}converged, ±2 sd"
                     values = style.interval([s.estimate for s in chosen], index)
-                    style.intervals(axes, numbers, values, colour, name)
+                    style.intervals(axes, numbers, values, "o", color=colour, label=label)
             true = [(s.contact_id, session.truth[s.site_id][key])
                     for s in known if s.site_id in session.truth]  # fmt: skip
             truth = np.array(true).reshape(-1, 2).T
@@ -96,7 +86,7 @@ def comparison(session: Session) -> str:
                 axes.plot(*truth, "_", color=TRUTH, markersize=14, label="truth")
             shown = style.interval([s.estimate for s in known], index)
             style.limit_by_intervals(axes, *(np.append(part, truth[1]) for part in shown))
-            axes.set_title(label)
+            axes.set_title(title)
             style.write_ticks(axes)
             axes.locator_params(axis="x", integer=True)
             axes.margins(x=0.08)
@@ -110,11 +100,12 @@ def comparison(session: Session) -> str:
 def site_map(session: Session) -> str:
     """Where it was pressed, seen along the approach: a dot, N/m and its colour for each site."""
     sites = list({s.site_id: s for s in session.replay.summaries if s.position}.values())
-    first, second = _lateral_axes(session.parameters.displacement.axis)
+    # The axes of the frame that are least along the approach.
+    axis = np.abs(session.parameters.displacement.axis)
+    first, second = sorted(np.argsort(axis, kind="stable")[:2])
     positions = 1e3 * np.array([s.position for s in sites])
-    x, y = positions @ first, positions @ second
-    found = [s.apparent_stiffness for s in sites]
-    values = np.array([math.nan if one is None else one.value for one in found])
+    x, y = positions[:, first], positions[:, second]
+    values = np.array([getattr(s.apparent_stiffness, "value", math.nan) for s in sites])
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -134,28 +125,10 @@ def site_map(session: Session) -> str:
                           textcoords="offset points", ha="center")  # fmt: skip
         frame = sites[0].position_frame
         axes.set_title(f"Sites and their stiffness{f' in {frame}' if frame else ''}")
-        axes.set_xlabel(f"{_axis_name(first)} [mm]")
-        axes.set_ylabel(f"{_axis_name(second)} [mm]")
+        axes.set_xlabel(f"{'xyz'[first]} [mm]")
+        axes.set_ylabel(f"{'xyz'[second]} [mm]")
 
     return draw(plot)
-
-
-def _lateral_axes(approach: Sequence[float]) -> tuple[Array, Array]:
-    axis = np.array(unit_vector(approach))
-    # The axes of the frame that are least along the approach, made perpendicular to it.
-    order = np.argsort(np.abs(axis), kind="stable")
-    first = np.eye(3)[min(order[0], order[1])]
-    first = first - (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    if second[int(np.argmax(np.abs(second)))] < 0.0:
-        second = -second
-    return first, second
-
-
-def _axis_name(axis: Array) -> str:
-    index = int(np.argmax(np.abs(axis)))
-    return "xyz"[index] if abs(axis[index]) > 0.999 else f"near {'xyz'[index]}"
 
 
 def path(summaries: Sequence[ContactSummary]) -> str:
@@ -179,7 +152,7 @@ def path(summaries: Sequence[ContactSummary]) -> str:
         for axes, (title, values) in zip(panels, found.items(), strict=True):
             known = [(x, *one) for x, one in zip(at, values, strict=True) if one is not None]
             x, value, sd = np.array(known, dtype=float).reshape(-1, 3).T
-            style.intervals(axes, x, (value, value - 2.0 * sd, value + 2.0 * sd), fmt="o-")
+            style.intervals(axes, x, (value, value - 2.0 * sd, value + 2.0 * sd), "o-")
             axes.set_title(f"{title}, ±2 sd")
         axes.set_xlabel(label)
 
@@ -192,7 +165,7 @@ def path(summaries: Sequence[ContactSummary]) -> str:
 def signals(session: Session, contact: Contact) -> str:
     """Depth and force of a contact, and the force that was predicted."""
     geometry = session.geometry
-    states = [state for state in contact.states.items if state.signals is not None]
+    states = [state for state in contact.states if state.signals is not None]
     seconds, per_force = _since_touch(states), geometry.stress_per_force
     depth = [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
     force = np.array([s.signals.stress / per_force for s in states])
@@ -254,32 +227,30 @@ def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Ar
 
     A state has those of its own time: an alpha that was learned later lifts or lowers them.
     """
-    estimate, moments = summary.estimate, StressMoments()
+    last, moments = summary.estimate, StressMoments()
     points: list[tuple[float, float]] = []
-    before: tuple[int, float] | None = None
-    for state in contact.states.items:
-        signals = state.signals
-        if signals is None:
+    stamp_ns, stress = math.inf, 0.0
+    for state in contact.states:
+        if state.signals is None:
             continue
-        strain, response = signals.strain, signals.fractional_stress
-        if before is not None and state.stamp_ns > before[0]:
-            step = (state.stamp_ns - before[0]) / NANOSECONDS
-            moments.add(step, before[1], signals.stress)
-        own = np.append(moments.values, signals.stress)
-        if estimate is not None and state.estimate is not None:
-            order, then = estimate.fractional_order, state.estimate
-            changed = memory_weights(order) - memory_weights(then.fractional_order)
-            response += float(changed @ own)
-            moved = then.contact_point - estimate.contact_point
+        strain, now = state.signals.strain, state.signals.stress
+        response = state.signals.fractional_stress
+        if state.stamp_ns > stamp_ns:
+            moments.add((state.stamp_ns - stamp_ns) / NANOSECONDS, stress, now)
+        stamp_ns, stress = state.stamp_ns, now
+        if last is not None and (then := state.estimate) is not None:
+            orders = last.fractional_order, then.fractional_order
+            changed = memory_weights(orders[0]) - memory_weights(orders[1])
+            response += float(changed @ np.append(moments.values, now))
+            moved = then.contact_point - last.contact_point
             strain = geometry.strain(geometry.compression(strain) + moved)
         points.append((strain, response))
-        before = state.stamp_ns, signals.stress
     return np.array(points).reshape(-1, 2)
 
 
 def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
     """How G and Gn became known."""
-    states = [s for s in contact.states.items if s.estimate is not None]
+    states = [s for s in contact.states if s.estimate is not None]
     estimates = [s.estimate for s in states]
     time = _since_touch(states)
 

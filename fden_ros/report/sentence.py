@@ -29,37 +29,37 @@ def sentence(session: Session) -> str:
 def lines(session: Session) -> list[tuple[str, str, str]]:
     """Return the place, its stiffness, and the rest, of each place or of many together."""
     summaries, config = session.replay.summaries, session.config
-    # A place is known best at the end of its last contact.
-    places = list({summary.site_id: summary for summary in summaries}.values())
     if is_path(summaries):
         known = [summary for summary in summaries if summary.is_of_path]
         return [("", _range(known), f" at {len(known)} places on the path")]
     if config.is_continuous:
         words = ": it takes a probe that palpates as it slides"
         return [("", "No stiffness is known on the path", words)]
+    # A place is known best at the end of its last contact.
+    places = list({summary.site_id: summary for summary in summaries}.values())
     if not places:
         return [("", "No contact was found", "")]
-    if len(places) > _EACH:
-        return [("", _range(places), _of_many(places, config))]
-    several = len(places) > 1
-    return [
-        (f"Site {place.site_id}: " if several else "", *_of_one(place, config)) for place in places
-    ]
+    if len(places) <= _EACH:
+        names = [f"Site {place.site_id}: " * (len(places) > 1) for place in places]
+        return [(n, *_of_one(one, config)) for n, one in zip(names, places, strict=True)]
+    tissues = Counter(_tissue(place) or "of undetermined tissue" for place in places)
+    words = ", ".join(f"{count} {tissue}" for tissue, count in tissues.most_common())
+    steps = Counter(filter(None, (next_step(place, config) for place in places)))
+    for step, count in steps.most_common(1):
+        words += f"; at {count} of them {step}"
+    return [("", _range(places), f" at {len(places)} places, {words}")]
 
 
 def _of_one(place: ContactSummary, config: PipelineConfig) -> tuple[str, str]:
     geometry, found, measured = config.geometry, place.apparent_stiffness, place.measured.loading
     depth = 1e3 * geometry.length * geometry.compression(max(place.max_strain, 0.0))
     number, rest = "Stiffness not known", ""
-    if Flag.IMPLAUSIBLE not in place.flags:
-        if stiffness(found) != DASH:
-            number, rest = f"{stiffness(found, 3)} N/m", f" at {written(depth, 2)} mm"
-        elif measured is not None:
-            number, rest = f"Slope {slope_words(measured)}", ", as measured"
-    if tissue := _tissue(place):
-        rest += f", {tissue}"
-    remedy = next_step(place, config)
-    return number, f"{rest}; {remedy}" if remedy else rest
+    if Flag.IMPLAUSIBLE not in place.flags and stiffness(found) != DASH:
+        number, rest = f"{stiffness(found, 3)} N/m", f" at {written(depth, 2)} mm"
+    elif Flag.IMPLAUSIBLE not in place.flags and measured is not None:
+        number, rest = f"Slope {slope_words(measured)}", ", as measured"
+    tissue, remedy = _tissue(place), next_step(place, config)
+    return number, rest + f", {tissue}" * bool(tissue) + f"; {remedy}" * bool(remedy)
 
 
 def _tissue(place: ContactSummary) -> str:
@@ -67,16 +67,6 @@ def _tissue(place: ContactSummary) -> str:
     if label == UNKNOWN:
         return "like no tissue of the library"
     return f"{label}-like" if label else ""
-
-
-def _of_many(places: Sequence[ContactSummary], config: PipelineConfig) -> str:
-    tissues = Counter(_tissue(place) or "of undetermined tissue" for place in places)
-    listed = ", ".join(f"{count} {tissue}" for tissue, count in tissues.most_common())
-    words = f" at {len(places)} places, {listed}"
-    steps = Counter(filter(None, (next_step(place, config) for place in places)))
-    for step, count in steps.most_common(1):
-        words += f"; at {count} of them {step}"
-    return words
 
 
 def _range(places: Sequence[ContactSummary]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -21,42 +22,21 @@ from fden_ros.written import written
 INK, MUTED, GRID, SHADE = "#1b1f24", "#667080", "#e3e6ea", "#e6edf6"
 MEASURED, ESTIMATE, TRUTH = "#3d4654", "#0b63b5", "#c2410c"
 _VARIABLES = {
-    INK: "--ink",
-    MUTED: "--muted",
-    GRID: "--grid",
-    SHADE: "--shade",
-    MEASURED: "--measured",
-    ESTIMATE: "--estimate",
-    TRUTH: "--truth",
-}
+    INK: "--ink", MUTED: "--muted", GRID: "--grid", SHADE: "--shade",
+    MEASURED: "--measured", ESTIMATE: "--estimate", TRUTH: "--truth",
+}  # fmt: skip
 _STYLE = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fden",
-    "font.family": "sans-serif",
-    "font.size": 9.0,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.facecolor": "none",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.color": MUTED,
-    "ytick.labelcolor": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "lines.linewidth": 1.4,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.3,
-}
+    "svg.fonttype": "none", "svg.hashsalt": "fden",
+    "font.family": "sans-serif", "font.size": 9.0, "text.color": INK,
+    "axes.edgecolor": MUTED, "axes.labelcolor": INK, "axes.facecolor": "none",
+    "axes.titlesize": 9.5, "axes.titlelocation": "left", "axes.titleweight": "bold",
+    "axes.grid": True, "axes.axisbelow": True,
+    "axes.spines.top": False, "axes.spines.right": False,
+    "grid.color": GRID, "grid.linewidth": 0.6, "xtick.color": MUTED, "xtick.labelcolor": INK,
+    "ytick.color": MUTED, "ytick.labelcolor": INK, "legend.frameon": False,
+    "legend.fontsize": 8.0, "lines.linewidth": 1.4,
+    "path.simplify": True, "path.simplify_threshold": 0.3,
+}  # fmt: skip
 #: Of every picture [inch]: its letters are legible on a telephone.
 _SIZE = (5.2, 3.2)
 #: Logarithms beyond this are drawn as this.
@@ -101,26 +81,12 @@ def band(axes: Axes, x: Array, low: Array, high: Array) -> None:
 
 
 def intervals(
-    axes: Axes,
-    x: Sequence[float],
-    values: tuple[Array, Array, Array],
-    colour: str = ESTIMATE,
-    label: str | None = None,
-    fmt: str = "o",
+    axes: Axes, x: Sequence[float], values: tuple[Array, Array, Array], fmt: str, **named: Any
 ) -> None:
     """Draw values as dots with whiskers to the ends of their intervals, (n,) each."""
     value, low, high = values
-    axes.errorbar(
-        x,
-        value,
-        [value - low, high - value],
-        fmt=fmt,
-        markersize=4,
-        linewidth=1.0,
-        capsize=3,
-        color=colour,
-        label=label,
-    )
+    ends = value - low, high - value
+    axes.errorbar(x, value, ends, fmt=fmt, markersize=4, linewidth=1.0, capsize=3, **named)
 
 
 def interval(estimates: Sequence[Estimate | None], index: int) -> tuple[Array, Array, Array]:
@@ -162,11 +128,5 @@ def write_ticks(axes: Axes) -> None:
 
 def legend_above(axes: Axes) -> None:
     """Put the legend next to the title: what is drawn may fill the whole panel."""
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=4,
-        borderaxespad=0.0,
-        columnspacing=1.0,
-        handlelength=1.4,
-    )
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+    axes.legend(**place, ncols=4, columnspacing=1.0, handlelength=1.4)

@@ -32,17 +32,10 @@ def table_of(
     title: str | None = None,
     between: int = 1,
 ) -> Table:
-    """Return a table.
+    """Return a table of cells in rich's markup, with blanks `between` two columns.
 
-    Parameters
-    ----------
-    columns : mapping
-        Heading to the least width of a column of words; 0: it is one of numbers.
-    rows : iterable of sequence of str
-        Cells, in rich's markup.
-    title : str, optional
-    between : int
-        Blanks between two columns, besides that of the box; 0: none at the edges either.
+    `columns`: heading to the least width of a column of words; 0: it is one of numbers. Without
+    blanks between them there are none at the edges either.
     """
     table = Table(
         title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0), show_edge=between > 0
@@ -83,8 +76,8 @@ def contact_table(
 def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool = False) -> str:
     """Return how far a contact's parameters are known, and its flags.
 
-    `on_path`: it is one of the places on the path of a continuous contact, where none has an
-    origin. `alone`: N/m or the slope is known of it, and not G.
+    `on_path`: it is a place on the path of a continuous contact. `alone`: G is not known of it,
+    but N/m or the slope.
     """
     words = "not converged"
     if on_path:
