@@ -190,11 +190,8 @@ _ALL = (
 CASES = {case.name: case for case in _ALL}
 
 
-def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
-    """Return recording `number` of a case; the seed is fixed.
-
-    With a `ratio` the punch is as wide as an undisturbed press takes so many times the noise.
-    """
+def scenario_of(case: Case, number: int) -> Scenario:
+    """Return recording `number` of a case; the seed is fixed."""
     seed = zlib.crc32(case.name.encode()) % 1_000_000_000 + number
     generator = np.random.default_rng([seed, _DRAWS])
     tissue = Tissue(
@@ -210,7 +207,7 @@ def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
     if case.preload.depth_m:
         # The later site is touched once.
         sites[1:] = [replace(site, presses=case.presses[:1]) for site in sites[1:]]
-    scenario = Scenario(
+    return Scenario(
         name=case.name,
         seed=seed,
         geometry=Geometry(
@@ -234,11 +231,6 @@ def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
         disturbances=case.disturbances,
         preload=case.preload,
     )
-    if not ratio:
-        return scenario
-    wider = math.sqrt(ratio * case.largest_noise_n / peak_n(scenario))
-    geometry = replace(scenario.geometry, radius_m=case.radius_m * wider)
-    return replace(scenario, geometry=geometry)
 
 
 def parameters_of(recording: Recording) -> dict[str, Any]:
@@ -250,11 +242,9 @@ def parameters_of(recording: Recording) -> dict[str, Any]:
     return own
 
 
-def trial_of(
-    case: Case, number: int, parameters: Mapping[str, Any], ratio: float = 0.0
-) -> Outcome:
+def trial_of(case: Case, number: int, parameters: Mapping[str, Any]) -> Outcome:
     """Simulate recording `number` of a case, identify it, and judge it."""
-    scenario = scenario_of(case, number, ratio)
+    scenario = scenario_of(case, number)
     recording = simulate(scenario)
     own = {**parameters, **parameters_of(recording)}
     config = pipeline_config(check(own))

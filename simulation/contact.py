@@ -158,16 +158,10 @@ class ContactHistory:
 def contacts_of_moves(
     moves: Sequence[Move], model: FdenModel, stiffening: Stiffening | None = None
 ) -> ContactHistory:
-    """Follow a probe over fresh tissue and return the contacts it makes.
+    """Follow a probe over fresh tissue at rest and return the contacts it makes.
 
-    Parameters
-    ----------
-    moves
-        Consecutive moves of the probe; its strain is negative above the undisturbed surface.
-    model
-        The tissue, at rest at the beginning.
-    stiffening
-        What the probe meets on the way down; every contact is taken to begin above it.
+    The strain of consecutive `moves` is negative above the undisturbed surface; every contact is
+    taken to begin above the `stiffening`.
     """
     contacts: list[Contact] = []
     memory = Memory()

@@ -161,20 +161,11 @@ class Disturbances:
         contacts: Sequence[tuple[float, float]],
         phases: Phases,
     ) -> FloatArray:
-        """Return the disturbed, filtered and quantised reading of a force, in N, shape (n,).
+        """Return the disturbed, filtered and quantised reading of a force [N], shape (n,).
 
-        Parameters
-        ----------
-        times
-            In s, shape (n,).
-        force, sensor_error
-            The true force, and the sensor's own noise, bias and drift, in N, shape (n,).
-        velocity
-            Of the axis into the tissue in m/s, shape (n,).
-        contacts
-            Touch and release of each contact in s.
-        phases
-            Of hum and vibration.
+        `sensor_error` [N] is the sensor's own noise, bias and drift, `velocity` [m/s] that of the
+        axis into the tissue, both of shape (n,) at `times` [s]; `contacts` have touch and release
+        [s].
         """
         moving = np.abs(velocity) > REST_SPEED
         touching = np.zeros(times.shape, dtype=bool)

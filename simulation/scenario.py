@@ -373,18 +373,9 @@ def ramp_scenario(
     noise_stress_pa: float = 3.0,
     seed: int = 0,
 ) -> Scenario:
-    """Return a scenario of ramps, or of ramps and holds, without a file: for Monte-Carlo studies.
+    """Return ramps, or ramps and holds, of one site each, without a file.
 
-    Parameters
-    ----------
-    strain_rate, max_strain, hold_s
-        The press, in 1/s, 1 and s.
-    tissue
-        By default drawn from liver, with the fractional order 0.131.
-    sites
-        How many sites are touched, each once.
-    rate_hz, noise_stress_pa, seed
-        As in the scenario files.
+    Tissue is by default drawn from liver, with the fractional order 0.131.
     """
     press = RampHold(strain_rate, max_strain, hold_s) if hold_s else Ramp(strain_rate, max_strain)
     tissue = tissue or Tissue(draw="liver", fractional_order=0.131)
@@ -399,13 +390,7 @@ def ramp_scenario(
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Read a scenario.
-
-    Parameters
-    ----------
-    name_or_path
-        The name of a scenario that comes with the package (see :func:`scenario_names`), or the
-        path of a YAML file.
+    """Read a scenario by its name (see :func:`scenario_names`), or the path of a YAML file.
 
     Raises
     ------

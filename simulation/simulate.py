@@ -87,15 +87,7 @@ class _Visit:
 
 
 def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
-    """Simulate a scenario; the same scenario and seed give the same bytes.
-
-    Parameters
-    ----------
-    scenario
-        What is pressed and how.
-    seed
-        Instead of the scenario's own.
-    """
+    """Simulate a scenario; the same scenario and seed, by default its own, give the same bytes."""
     seed = scenario.seed if seed is None else seed
     phases = Phases.draw(_generator(seed, _PHASE_DRAWS))
     visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS), phases)

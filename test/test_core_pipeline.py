@@ -17,10 +17,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from fault_helpers import TISSUE, Outcome, Shift, is_wrong, outcome_of
-from pipeline_helpers import Item, items_of, parameters_of
+from pipeline_helpers import Item, begun, items_of, parameters_of
 
+from benchmark.trial import fed
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -319,3 +321,19 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
         assert own[-1].classes.label == summary.classes.label == "liver"
 
 
+
+
+def test_a_tare_takes_the_force_in_the_air_away() -> None:
+    probe = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
+    pipeline, _ = begun(probe | {"force.measure_bias": False, "force.threshold": 0.1})
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, 250)
+
+    def goes_on(begin: float, force: float) -> bool:
+        times = begin + np.arange(250) / 250.0
+        for _ in fed(pipeline, times, force + noise, 0.002 * times - 0.01 + 1e-3 * noise):
+            pass
+        return pipeline.in_contact
+
+    assert not goes_on(0.0, 0.08) and pipeline.tare() is None
+    assert not goes_on(1.0, 0.14)
+    assert goes_on(2.0, 0.25)

@@ -105,7 +105,6 @@ def test_the_version_is_the_same_everywhere():
     assert version == manifest("msg_defs/package.xml").findtext("version") == fden_ros.__version__
     for path in ("CHANGELOG.rst", "msg_defs/CHANGELOG.rst"):
         assert f"\n{version} (" in (ROOT / path).read_text()
-    assert f"| {version}, " in (ROOT / "QUALITY_DECLARATION.md").read_text()
 
 
 def test_package_xml_and_setup_py_ask_for_the_same_python_packages():

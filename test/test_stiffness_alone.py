@@ -80,18 +80,6 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
         assert abs(found[name] - SPRING) < 4.0 * found[f"{name}_sd"]
 
 
-def test_what_may_be_the_air_of_a_force_of_the_wrong_sign_is_no_result(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
-) -> None:
-    # Both signs are wrong: what is taken for the contact is the air.
-    time, force, depth = pressed()
-    table = written(tmp_path / "wrong.csv", (time, -force, -depth))
-    assert fden("replay", table, "--config", config) == 3
-    printed = capsys.readouterr()
-    assert "change both signs" in printed.err
-    assert "N/m known" not in " ".join(printed.out.split())
-
-
 def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffness(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
 ) -> None:

@@ -17,10 +17,9 @@ from command_helpers import answer
 
 from benchmark.other_laws import Law, springpot, stress_of_law
 from benchmark.trial import fed, last_summaries
-from fden_ros.core.law import FlatPunch, Sphere
+from fden_ros.core.law import Sphere
 from fden_ros.core.outputs import Output
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.bag import write_recording
@@ -102,15 +101,6 @@ def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_
     assert words.startswith("geometry.thickness is not stated, so the tissue counts as thick")
     reached = re.search(r"the (\S+) mm reached", words)
     assert reached and float(reached[1]) == pytest.approx(1.5, rel=0.25)
-
-
-def test_a_face_wider_than_the_layer_is_thick_is_told_of_and_hayes_is_the_remedy():
-    face = 3.14e-4
-    words = assumed(FlatPunch(face, 0.01))
-    times = float(re.search(r"at 10 mm G comes out (\S+) times too large", words)[1])
-    column, layer = FlatPunch(face, 0.01), FlatPunch(face, 0.01, 0.5)
-    assert column.stress_per_force / layer.stress_per_force == pytest.approx(times, rel=0.02)
-    assert not assumed(layer) and not assumed(FlatPunch(face, 0.02))
 
 
 def test_the_retract_of_a_round_probe_tells_nothing_where_its_contact_shrinks():
