@@ -237,6 +237,7 @@ PACKAGE = Path(__file__).parent.parent / "fden_ros"
 
 #: Rooms in the order of the data: each imports only what stands above it here.
 ROOMS = (
+    "advice",
     "errors",
     "one_thread",
     "progress",
