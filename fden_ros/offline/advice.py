@@ -82,8 +82,11 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
     poor = [k for k in (0, 1) if estimate.deviations[k] > limits[k]]
     if not poor:
         return LACKS["innovation"]
+    spreads = [min(float(estimate.deviations[k]), 20.0) for k in poor]
     known = ", ".join(
-        f"{('G', 'Gn')[k]} is known to {_percent(float(estimate.deviations[k]))}" for k in poor
+        f"{('G', 'Gn')[k]} is known to "
+        + (f"{100.0 * sd:.0f} %" if sd < 1.0 else f"a factor of {written(math.exp(sd), 2)}")
+        for k, sd in zip(poor, spreads, strict=True)
     )
     source, share = _largest(budget, poor[0])
     return Advice(f"{known} only{share}", SOURCES[source].remedy)
@@ -115,10 +118,3 @@ def _largest(budget: Budget | None, index: int) -> tuple[str, str]:
         return name, ""
     share = 100.0 * budget.share(name, index)
     return name, f" ({share:.0f} % of the variance: {SOURCES[name].sentence})"
-
-
-def _percent(sd: float) -> str:
-    """Return the deviation of a logarithm, as a factor where it is as large as the number."""
-    if sd < 1.0:
-        return f"{100.0 * sd:.0f} %"
-    return f"a factor of {written(math.exp(min(sd, 20.0)), 2)}"

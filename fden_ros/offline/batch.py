@@ -32,7 +32,7 @@ from fden_ros.errors import InputError
 from fden_ros.offline.parquet import write_parquet
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
-from fden_ros.offline.workers import SAME_VERSION, is_killed
+from fden_ros.offline.workers import SAME_VERSION
 from fden_ros.parameters import Parameters
 from fden_ros.recording.places import NOT_REACHED, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.reader import METADATA_FILE, is_bag_file
@@ -314,7 +314,8 @@ def _rows_of(future: Future[list[Row]], bag: str, results: Results) -> list[Row]
     except CancelledError:
         raise InputError(f"the scheduler is gone: start it; {kept}") from None
     except Exception as error:
-        if not is_killed(error):
+        # Dask gives a task up when each of its workers was killed.
+        if type(error).__name__ != "KilledWorker":
             raise InputError(f"a worker cannot do it ({error}): {SAME_VERSION}") from None
         why = f"{KILLED} each time it was tried: does it have enough memory?"
         return [_row(bag, results.configuration) | {"error": why}]

@@ -133,13 +133,10 @@ def replay_source(
             summaries.append(output)
         on_output(output, source.frame)
 
-    def before(log_time_ns: int, message: RawMessage | None) -> None:
-        on_input(log_time_ns, message, pipeline)
-
     pipeline = _Watched(pipeline_config(source.parameters), keep)
     pipeline.show = on_pair
     with bar("replaying", source.total, visible=progress) as show:
-        for done in source.feed(pipeline, before):
+        for done in source.feed(pipeline, lambda at, one: on_input(at, one, pipeline)):
             if done % _PROGRESS_STEP == 0:
                 show(done)
     pipeline.finish()

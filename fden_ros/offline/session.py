@@ -13,7 +13,6 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.offline.replay import Replay, replay
@@ -91,11 +90,6 @@ class Session:
     trace: Trace
     config: PipelineConfig
     truth: dict[int, dict[str, Any]]  #: by site, of simulated recordings
-
-    @property
-    def geometry(self) -> Geometry:
-        """Of the probe and the tissue."""
-        return self.config.geometry
 
     def seconds(self, stamp_ns: int) -> float:
         """Return a time since the first pair [s]."""

@@ -75,8 +75,3 @@ def cluster(scheduler: str, say: Callable[[str], object]) -> Iterator[Executor]:
             yield pool
         finally:
             pool.shutdown(wait=False)
-
-
-def is_killed(error: Exception) -> bool:
-    """Return whether Dask has given a task up because each of its workers was killed."""
-    return type(error).__name__ == "KilledWorker"

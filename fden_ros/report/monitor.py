@@ -25,11 +25,8 @@ from fden_ros.report.table import contact_table
 from fden_ros.written import written
 
 _COLOURS = {
-    Status.NO_CONTACT: "cyan",
-    Status.CONVERGING: "yellow",
-    Status.CONVERGED: "green",
-    Status.STALE: "red",
-}
+    Status.NO_CONTACT: "cyan", Status.CONVERGING: "yellow", Status.CONVERGED: "green",
+}  # fmt: skip
 _LAST_CONTACTS = 6
 #: Half width of the intervals, in standard deviations.
 _DEVIATIONS = 2.0

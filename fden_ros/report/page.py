@@ -94,7 +94,7 @@ def _facts(session: Session) -> Facts:
     rejected = [f"{count:,} rejected ({why})" for why, count in session.replay.rejected.items()]
     yield "Samples", ", ".join([f"{session.replay.samples:,}", *rejected])
     kind = session.parameters.geometry.kind.replace("_", " ")
-    yield "Geometry", kind if session.geometry.is_stated else f"{kind}, sizes not stated"
+    yield "Geometry", kind if session.config.geometry.is_stated else f"{kind}, sizes not stated"
 
 
 def _row(summary: ContactSummary, session: Session, *, on_path: bool) -> dict[str, Any]:
@@ -125,8 +125,7 @@ def _row(summary: ContactSummary, session: Session, *, on_path: bool) -> dict[st
         "status": status_words(summary, on_path=on_path, alone=alone),
         "tissue": label_words(summary),
     }
-    for heading in _OF_PRESSES if on_path else ():
-        del cells[heading]
+    cells = {k: text for k, text in cells.items() if not (on_path and k in _OF_PRESSES)}
     return {"cells": cells, "has_result": summary.converged or alone or summary.is_of_path}
 
 

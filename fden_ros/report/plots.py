@@ -164,7 +164,7 @@ def path(summaries: Sequence[ContactSummary]) -> str:
 
 def signals(session: Session, contact: Contact) -> str:
     """Depth and force of a contact, and the force that was predicted."""
-    geometry = session.geometry
+    geometry = session.config.geometry
     states = [state for state in contact.states if state.signals is not None]
     seconds, per_force = _since_touch(states), geometry.stress_per_force
     depth = [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
@@ -194,7 +194,7 @@ def signals(session: Session, contact: Contact) -> str:
 
 def characteristic(session: Session, contact: Contact, summary: ContactSummary) -> str:
     """Fractional stress against strain, with the fitted law and its band."""
-    points = _points(session.geometry, contact, summary)
+    points = _points(session.config.geometry, contact, summary)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
