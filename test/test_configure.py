@@ -46,39 +46,20 @@ from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 DATA = os.environ.get("FDEN_DATA")
 CONFIG = Path(__file__).parents[1] / "config"
 PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
-#: A dozen rigs of every kind; see `test_the_dozen_rigs_are_of_every_kind`.
+#: A dozen rigs of every kind.
 DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
-    (1008, {}),
-    (1009, {}),
+    *((seed, {}) for seed in (1008, 1009, 1028, 1031, 1058, 1062, 1064, 1075, 1086, 1089)),
     (1025, {"tissue": False}),
-    (1028, {}),
-    (1031, {}),
-    (1058, {}),
-    (1062, {}),
-    (1064, {}),
     (1071, {"leaves": False}),
-    (1075, {}),
-    (1086, {}),
-    (1089, {}),
 )
 #: Those that are looked at in each run.
 OFTEN = (1025, 1071)
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
-    "turns": True,
-    "rigid": True,
-    "tissue": True,
-    "leaves": True,
-    "compliance": 3e-4,
-    "mass": 0.4,
-    "delay": 0.012,
-    "force_rate": 200.0,
-    "displacement_rate": 150.0,
-    "force_noise": 0.01,
-    "displacement_noise": 5e-6,
-    "force_step": 0.0,
-    "displacement_step": 0.0,
-    "breathing": 0.0,
+    **dict.fromkeys(("turns", "rigid", "tissue", "leaves"), True),
+    **dict.fromkeys(("force_step", "displacement_step", "breathing"), 0.0),
+    **{"compliance": 3e-4, "mass": 0.4, "delay": 0.012, "force_noise": 0.01},
+    **{"force_rate": 200.0, "displacement_rate": 150.0, "displacement_noise": 5e-6},
 }
 
 
@@ -251,19 +232,22 @@ def late(
     return Streams("late", stamps[0], force.value[:, None], stamps[1], moved.value[:, None])
 
 
-PUNCH: dict[str, float | str] = {"kind": "flat_punch", "area": math.pi * 1e-4, "thickness": 0.02}
+HOLD = (RampHold(0.3, 0.25, 2.0, 0.6),)
+SINES = (Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3))
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
 @pytest.mark.parametrize("delay", first(0.05, 0.0, 0.1))
-@pytest.mark.parametrize("geometry", [FACE, BALL])
-def test_a_press_of_tissue_tells_a_delay_by_its_bends(geometry, delay, seed):
-    streams = late(delay, RampHold(0.3, 0.25, 2.0, 0.6), seed=seed, geometry=geometry)
-    finding = survey([streams]).finding("delay")
-    assert finding.claim and "bends of 1 press" in finding.evidence
-    assert finding.value == pytest.approx(delay, abs=2.5 * finding.deviation)
-    assert finding.deviation < 0.01
-    assert ("displacement.delay" in finding.parameters) == (delay > 0.03)
+@pytest.mark.parametrize(("geometry", "motions"), [(FACE, HOLD), (BALL, HOLD), (FACE, SINES)])
+def test_presses_of_tissue_tell_a_delay_by_their_bends(geometry, motions, delay, seed):
+    finding = survey([late(delay, *motions, seed=seed, geometry=geometry)]).finding("delay")
+    # 0.1 s are nearly half a period of the faster sine.
+    assert finding.claim == (motions is HOLD or delay < 0.1)
+    assert ("displacement.delay" in finding.parameters) == (finding.claim and delay > 0.03)
+    if finding.claim:
+        assert f"bends of {len(motions)} press" in finding.evidence
+        assert finding.value == pytest.approx(delay, abs=3.0 * finding.deviation)
+        assert finding.deviation < 0.01
 
 
 def test_a_press_without_bends_tells_no_delay():
@@ -274,15 +258,6 @@ def test_a_press_without_bends_tells_no_delay():
     streams = Streams("slow", times, force[:, None], times, depth[:, None])
     finding = survey([streams]).finding("delay")
     assert not finding.parameters and not finding.claim
-
-
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", first(0.03, 0.0, 0.1))
-def test_sines_at_two_frequencies_tell_a_delay_from_relaxation(delay, seed):
-    sines = [Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3)]
-    finding = survey([late(delay, *sines, seed=seed)], PUNCH).finding("delay")
-    assert finding.value == pytest.approx(delay, abs=2.5 * finding.deviation)
-    assert finding.deviation < 0.01
 
 
 def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, float]:
@@ -296,7 +271,7 @@ def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, flo
     return replace(one, force=passed), delay
 
 
-@pytest.mark.parametrize("cutoff", first(5.0, 3.0, 10.0))
+@pytest.mark.parametrize("cutoff", first(5.0, 4.0, 10.0))
 def test_a_filter_on_the_force_is_named_and_part_of_the_delay(cutoff):
     streams, delay = filtered(cutoff)
     found = survey([streams])
@@ -461,30 +436,15 @@ def test_a_probe_in_transforms_alone_is_set_up_by_hand(tmp_path, capsys):
 #: tool), and whether its driver takes the tool's weight off.
 LAYOUTS: dict[str, tuple[str, str, str, float, bool]] = {
     "crtk": ("/PSM1/body/measured_cf", "/PSM1/measured_cp", "pose", 1.0, False),
-    "ur": (
-        "/force_torque_sensor_broadcaster/wrench",
-        "/tcp_pose_broadcaster/pose",
-        "pose",
-        1.0,
-        True,
-    ),
-    "franka": (
-        "/NS_1/franka_robot_state_broadcaster/external_wrench_in_stiffness_frame",
-        "/NS_1/franka_robot_state_broadcaster/current_pose",
-        "pose",
-        -1.0,
-        True,
-    ),
-    "kuka_iiwa": (
-        "/lbr/force_torque_broadcaster/wrench",
-        "/lbr/pose_broadcaster/pose",
-        "pose",
-        -1.0,
-        True,
-    ),
+    "ur": ("/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose",
+           "pose", 1.0, True),
+    "franka": ("/NS_1/franka_robot_state_broadcaster/external_wrench_in_stiffness_frame",
+               "/NS_1/franka_robot_state_broadcaster/current_pose", "pose", -1.0, True),
+    "kuka_iiwa": ("/lbr/force_torque_broadcaster/wrench", "/lbr/pose_broadcaster/pose",
+                  "pose", -1.0, True),
     "xarm": ("/xarm/uf_ftsensor_ext_states", "/xarm/robot_states", "xarm", 1.0, True),
     "ros2_control": ("/fts_broadcaster/wrench", "/tool_broadcaster/pose", "pose", 1.0, False),
-}
+}  # fmt: skip
 
 
 @functools.cache
