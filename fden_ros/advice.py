@@ -34,7 +34,7 @@ IMPLAUSIBLE | strain, force, rate or a size cannot be what it says | check the u
 GEOMETRY_UNSTATED | the geometry is not stated: the numbers are those of a probe that stands in
   for it | state probe and tissue (geometry) for G and Gn
 TOUCH_NOT_OBSERVED | the touch was not observed, in the recording or above noise and drift
-  | begin 1 s in the air, and touch faster or with a larger face, for G and Gn
+  | begin 1 s in the air, and touch within 5 s or with a larger face, for G and Gn
 ESTIMATION_FAILED | the computation failed at this site: there is no estimate until the next one
   | report it, with the traceback of the log
 MODEL_MISMATCH | the model does not describe this contact: the force is not what it predicts

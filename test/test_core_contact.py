@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import items_of, of_columns
+from pipeline_helpers import items_of, of_columns, summaries_of
 from property_helpers import counts
 
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
@@ -342,17 +342,21 @@ def test_inertia_of_a_mass_beyond_the_sensor_is_found_in_the_air(seeds):
     for seed in range(seeds):
         mass = np.random.default_rng(1000 + seed).uniform(0.03, 0.2)
         detector, events = events_of(impact(seed, mass))
-        assert len(onsets(events)) == detector.inertial == 1
-        assert detector.mass == pytest.approx(mass, rel=0.2)
+        (onset,) = onsets(events)
+        assert detector.inertial == 1 and not onset.seen
+        # The inertia hides the touch, so that some of the contact is taken for the air.
+        assert 0.4 * mass < detector.mass < 1.2 * mass
         detector, events = events_of(impact(seed, 0.0))
-        assert len(onsets(events)) == 1 and detector.inertial == 0
+        (onset,) = onsets(events)
+        assert detector.inertial == 0 and onset.seen
 
 
 def test_a_fast_impact_is_advised_to_press_slower_not_faster():
     pairs = impact(1, 0.08)
     columns = np.array([(1e-9 * (p.stamp_ns - START_NS), p.force, p.displacement) for p in pairs])
     parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
-    pipeline, _ = of_columns(parameters, *columns.T)
+    pipeline, outputs = of_columns(parameters, *columns.T)
     said = " ".join(pipeline.warnings)
     assert "g beyond the sensor (press slower)" in said
     assert "faster" not in said and "drifts" not in said
+    assert all(one.estimate is None and not one.converged for one in summaries_of(outputs))

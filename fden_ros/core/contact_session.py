@@ -108,8 +108,8 @@ class ContactSession:
         """What was odd about the contacts, in words, and how often."""
         strokes, detector = self._strokes, self._detector
         inertia = (
-            f"the force follows the acceleration in the air: {1e3 * detector.mass:.2g} g beyond "
-            "the sensor (press slower)"
+            f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "
+            "beyond the sensor (press slower)"
         )
         return {
             inertia: detector.inertial,

@@ -56,7 +56,7 @@ _RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
 #: ... or when the probe is behind the surface by this share of its deepest penetration. One that
 #: holds still, within this share of that, does not leave: the tissue relaxes.
 _RETREAT, _HELD = 0.2, 0.05
-#: Inertia counts where its largest force in the air is more than this share of the contact's.
+#: Inertia counts where its largest force in the air is more than this share of that detected.
 _INERTIAL = 0.05
 
 
@@ -103,7 +103,7 @@ class _Press:
 
     def __init__(self, onset: Onset, clear: float, excess: Excess) -> None:
         self.bias, self._surface = onset.bias, onset.displacement
-        self._deepest, self.peak = onset.displacement, 0.0  #: largest mean of a chunk [N]
+        self._deepest = onset.displacement
         self._clear = max(clear, excess.threshold)
         self.release_force = _RELEASE_SHARE * self._clear
         self._low = _RELEASE_SHARE * excess.threshold
@@ -116,7 +116,6 @@ class _Press:
     def add(self, chunk: Chunk, pair: Pair) -> int | None:
         """Take a chunk and its last pair; return since when the probe has left [ns], or None."""
         self._deepest = max(self._deepest, pair.displacement)
-        self.peak = max(self.peak, chunk.mean - self.bias)
         if chunk.mean - self.bias > self._clear:
             # However faintly it began, single chunks have shown it now.
             self._averaged, self._low = _RELEASE_CHUNKS, self.release_force
@@ -303,6 +302,10 @@ class ContactDetector:
                 came &= approach.rises_by_itself(drift, level.noise)
             assert self._began_ns is not None
             came &= not is_measured or onset_ns - self._began_ns > _LEAST_AIR_NS
+        mass, inertia = approach.inertia()
+        if inertia > _INERTIAL * float(approach.force[approach.first :].max()):
+            # It hides the touch: the surface was found up to 5 mm too deep.
+            came, self.inertial, self.mass = False, self.inertial + 1, mass
         seen = approach.first > 0 and air_seen and came
         if not (seen or self._has_released):
             # There was no air yet in which the force could drift: what rose was this contact.
@@ -325,7 +328,7 @@ class ContactDetector:
             seen=seen,
             air_seen=air_seen,
         )
-        self._press, self._inertia = _Press(onset, clear, excess), approach.inertia()
+        self._press = _Press(onset, clear, excess)
         pairs.clear()
         self._rise, self._below, baseline.is_suspected = _Rise(), 0, False
         return onset._replace(release_force=self._press.release_force)
@@ -339,8 +342,6 @@ class ContactDetector:
         if press.is_behind:
             self._baseline.forget_all_but(0)
         self._press, self._has_released, self.has_seen_air = None, True, True
-        if self._inertia[1] > _INERTIAL * press.peak:
-            self.inertial, self.mass = self.inertial + 1, self._inertia[0]
         self._baseline.is_measured = True
         # What is air at its end is air before the next one.
         samples, least = self._samples, press.bias + press.release_force
