@@ -147,10 +147,11 @@ class Join:
             while len(following) > 1 and following[1][:2] <= key:
                 self._ahead.append((key, following.popleft()))
             before = following[0]
-            if before[:2] > key:
+            at = before[:2]
+            if at > key:
                 self._reject_oldest(self._unpaired)
                 self._join_epoch(lead, before)
-            elif before[:2] == key:
+            elif at == key:
                 leading.popleft()
                 self._on_match(lead, (*matched, Around(before, before, 0.0)))
             elif len(following) == 1:
