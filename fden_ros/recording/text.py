@@ -104,7 +104,7 @@ class Layout:
             If it holds something else.
         """
         text = cell.strip()
-        if text.lower() in _NOTHING:
+        if not text[-1:].isdigit() and text.lower() in _NOTHING:
             return math.nan
         mark = "," if self.decimal == "." else "."
         if mark in text:
