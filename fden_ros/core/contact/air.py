@@ -1,3 +1,6 @@
+# SPDX-FileCopyrightText: 2026 fden_ros maintainers
+# SPDX-License-Identifier: Apache-2.0
+
 r"""The force in the air before a contact: its bias, its noise, its drift, and what exceeds them.
 
 Force is averaged over chunks of time. Means over 1 to 16 chunks are compared with such means in
