@@ -48,14 +48,10 @@ def slope(response: Callable[[Array], Array], parameters: Array, index: int, ste
 
 
 def bounds(information: Array, prior: Array) -> Array:
-    """Return the least standard deviations, shape (n,); 0 where the prior knows exactly.
+    """Return the least standard deviations, shape (n,).
 
-    Parameters
-    ----------
-    information : ndarray, shape (n, n)
-        Of the data: the sum of J J^T over the noise's variance.
-    prior : ndarray, shape (n,)
-        Standard deviations beforehand; 0: known, inf: nothing is known.
+    `information` of the data, shape (n, n), is the sum of J J^T over the variance of the noise;
+    `prior`, shape (n,), has the standard deviations before; 0: known, inf: nothing is known.
     """
     unknown = np.flatnonzero(prior > 0.0)
     total = information[np.ix_(unknown, unknown)] + np.diag(prior[unknown] ** -2.0)

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from benchmark.score import Share
 from fden_ros.errors import InputError
@@ -31,15 +31,13 @@ from fden_ros.parameters import read_parameter_file
 from fden_ros.progress import progress
 
 Result = TypeVar("Result")
-Thing = TypeVar("Thing")
 
 #: Names the folder with measured tests where none is given.
 DATA_VARIABLE = "FDEN_DATA"
-#: Where no other number is asked for.
+#: Where no other number is given.
 PROCESSES = 2
 #: Columns of a table that goes into a file.
 _WIDTH = 200
-_INFINITY = math.inf
 
 
 @dataclass(frozen=True)
@@ -82,12 +80,12 @@ def at_most(
     name: str, value: float, limit: float, interval: tuple[float, float] | None = None
 ) -> Goal:
     """Return the goal that a figure is at most so large."""
-    return within(name, value, (-_INFINITY, limit), interval)
+    return within(name, value, (-math.inf, limit), interval)
 
 
 def at_least(name: str, value: float, limit: float) -> Goal:
     """Return the goal that a figure is at least so large."""
-    return within(name, value, (limit, _INFINITY))
+    return within(name, value, (limit, math.inf))
 
 
 def few(name: str, share: Share, limit: float) -> Goal:
@@ -100,31 +98,15 @@ def worst(name: str, values: Iterable[float], limit: float) -> Goal:
     return at_most(name, max((v for v in values if math.isfinite(v)), default=math.nan), limit)
 
 
-def undecided(goals: Iterable[Goal]) -> list[Goal]:
-    """Return goals of a run that is too short to tell."""
-    return [Goal(goal.name, goal.value, goal.goal, None) for goal in goals]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of figures.
-
-    Parameters
-    ----------
-    title : str
-    rows : mapping
-        Name of a row to its cells by column: words, numbers, :class:`Share`, or sequences.
-    hidden : sequence of str
-        Columns for JSON alone.
-    """
+class Table(NamedTuple):
+    """Rows of figures: the name of each, and its cells by column."""
 
     title: str
     rows: Mapping[str, Mapping[str, Any]]
-    hidden: Sequence[str] = ()
+    hidden: Sequence[str] = ()  #: columns for JSON alone
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """What a benchmark has found: goals, and tables by name."""
 
     goals: Sequence[Goal]
@@ -132,14 +114,9 @@ class Report:
 
     def json_object(self, benchmark: str, quick: bool) -> dict[str, Any]:
         """Return what ``--json`` prints; numbers that are not finite become null."""
-        whole = {
-            "benchmark": benchmark,
-            "quick": quick,
-            "goals": [asdict(goal) for goal in self.goals],
-            "figures": {name: table.rows for name, table in self.tables.items()},
-        }
-        plain: dict[str, Any] = _plain(whole)
-        return plain
+        goals = [asdict(goal) for goal in self.goals]
+        figures = {name: _plain(table.rows) for name, table in self.tables.items()}
+        return {"benchmark": benchmark, "quick": quick, "goals": goals, "figures": figures}
 
 
 def _plain(value: Any) -> Any:
@@ -156,56 +133,37 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """How a benchmark is called.
+    """How a benchmark is called; seeds are fixed, and nothing is printed."""
 
-    Parameters
-    ----------
-    run : callable
-        From its arguments to the :class:`Report`. `args.cases` are cases, `args.parameters` a
-        mapping, `args.contacts` a number; seeds are fixed; nothing is printed.
-    epilog : str
-        Of its help.
-    cases, quick : mapping, sequence of str
-        All cases by name, and the names of a quick run; empty: there are none to choose.
-    contacts : tuple of int
-        Usual number, and that of a quick run; 0: not to be chosen.
-    parameters, data : bool
-        Takes a parameter file; takes a folder of measured tests.
-    more : callable, optional
-        Adds arguments of its own to a parser.
-    """
-
+    #: From arguments: `cases`, `parameters` a mapping, `contacts` a number with `numbers`.
     run: Callable[[argparse.Namespace], Report]
-    epilog: str
-    cases: Mapping[str, Any] = field(default_factory=dict)
-    quick: Sequence[str] = ()
-    contacts: tuple[int, int] = (0, 0)
-    parameters: bool = False
-    data: bool = False
-    more: Callable[[argparse.ArgumentParser], None] | None = None
+    epilog: str  #: of its help
+    cases: Mapping[str, Any] = field(default_factory=dict)  #: all of them by name
+    quick: Sequence[str] = ()  #: names of those of a quick run
+    contacts: tuple[int, int] = (0, 0)  #: usual number, and that of a quick run
+    parameters: bool = False  #: takes a parameter file
+    data: bool = False  #: takes a folder of measured tests
+    more: Callable[[argparse.ArgumentParser], None] | None = None  #: adds arguments of its own
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the benchmark's arguments."""
         parser.epilog = self.epilog
+        add = parser.add_argument
         if self.data:
             words = f"folder with the measured tests (default: the variable {DATA_VARIABLE})"
             default = os.environ.get(DATA_VARIABLE)
-            parser.add_argument(
-                "data", nargs="?", type=Path, metavar="DIR", default=default, help=words
-            )
+            add("data", nargs="?", type=Path, metavar="DIR", default=default, help=words)
         if self.cases:
-            parser.add_argument("--cases", metavar="A,B", help="names of the cases")
+            add("--cases", metavar="A,B", help="names of the cases")
         if self.contacts[0]:
             words = f"how many of each case (default: {self.contacts[0]})"
-            parser.add_argument("--contacts", type=int, metavar="N", help=words)
+            add("--contacts", type=int, metavar="N", help=words)
             words = "number of the first of them, which is its seed (default: 0)"
-            parser.add_argument("--first", type=int, default=0, metavar="N", help=words)
-            parser.add_argument(
-                "--jobs", type=int, default=PROCESSES, metavar="N", help="processes"
-            )
+            add("--first", type=int, default=0, metavar="N", help=words)
+            add("--jobs", type=int, default=PROCESSES, metavar="N", help="processes")
         if self.parameters:
             words = "parameters of the identifier; geometry, messages and prior are its own"
-            parser.add_argument("--parameters", type=Path, metavar="FILE", help=words)
+            add("--parameters", type=Path, metavar="FILE", help=words)
         if self.more is not None:
             self.more(parser)
 
@@ -218,8 +176,13 @@ class Benchmark:
             If there is no such case, or a number is out of range.
         """
         if self.cases:
-            usual = self.quick if args.quick and self.quick else self.cases
-            args.cases = chosen(args.cases, self.cases, "case", usual)
+            names = self.quick if args.quick and self.quick else list(self.cases)
+            if args.cases is not None:
+                names = args.cases.split(",")
+            if unknown := [name for name in names if name not in self.cases]:
+                there = ", ".join(self.cases)
+                raise InputError(f"there is no case {unknown[0]!r}; there are {there}")
+            args.cases = [self.cases[name] for name in names]
         if self.contacts[0]:
             if args.contacts is None:
                 args.contacts = self.contacts[1 if args.quick else 0]
@@ -229,25 +192,6 @@ class Benchmark:
         if self.parameters:
             file = args.parameters
             args.parameters = dict(read_parameter_file(file).as_dict()) if file else {}
-
-
-def chosen(
-    names: str | None, known: Mapping[str, Thing], kind: str, default: Iterable[str]
-) -> list[Thing]:
-    """Return what has these names, separated by commas, in their order.
-
-    Raises
-    ------
-    InputError
-        If there is none of a name, or none is named.
-    """
-    wanted = list(default) if names is None else [name for name in names.split(",") if name]
-    for name in wanted:
-        if name not in known:
-            raise InputError(f"there is no {kind} {name!r}; there are {', '.join(known)}")
-    if not wanted:
-        raise InputError(f"no {kind} is named; there are {', '.join(known)}")
-    return [known[name] for name in wanted]
 
 
 def measured(
@@ -270,7 +214,7 @@ def measured(
     jobs : int, optional
         Processes, by default :data:`PROCESSES`; 1: this one.
     what : str
-        Beside the bar of progress.
+        Next to the bar of progress.
     """
     results: dict[int, Result] = {}
     jobs = jobs or PROCESSES
@@ -292,16 +236,11 @@ def measured(
 
 
 def by_case(
-    function: Callable[..., Result],
-    tasks: Sequence[tuple[Any, ...]],
-    *shared: object,
-    jobs: int | None = None,
-    what: str = "contacts",
+    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], *shared: object, **how: Any
 ) -> dict[Any, list[Result]]:
     """Return the same by the first argument of each task, which names its case."""
     found: dict[Any, list[Result]] = {}
-    results = measured(function, tasks, *shared, jobs=jobs, what=what)
-    for task, result in zip(tasks, results, strict=True):
+    for task, result in zip(tasks, measured(function, tasks, *shared, **how), strict=True):
         found.setdefault(task[0], []).append(result)
     return found
 
@@ -332,18 +271,15 @@ def main(args: argparse.Namespace) -> int:
     console = Console()
     if not console.is_terminal:
         console.width = _WIDTH
-    for table in report.tables.values():
-        console.print(_printed(table))
-    rows = {
-        goal.name: {"measured": goal.value, "goal": goal.goal, "": _ANSWERS[goal.met]}
+    answers = {True: "met", False: "missed", None: "undecided"}
+    goals = {
+        goal.name: {"measured": goal.value, "goal": goal.goal, "": answers[goal.met]}
         for goal in report.goals
     }
-    console.print(_printed(Table("Goals", rows)))
+    for table in (*report.tables.values(), Table("Goals", goals)):
+        console.print(_printed(table))
     console.print(f"wrote {figures}")
     return 0
-
-
-_ANSWERS = {True: "met", False: "missed", None: "undecided"}
 
 
 def _printed(table: Table) -> Any:

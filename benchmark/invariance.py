@@ -3,8 +3,8 @@
 
 """What should not move an estimate: how far it does, in stated deviations.
 
-20 presses on simulated rigs, each with something disturbed, and measured ones where there are any
-go through the pipeline as they are and again with one thing changed. A *move* is the largest
+20 presses on simulated rigs, each with something disturbed, go through the pipeline as they are
+and again with one thing changed. A *move* is the largest
 change of ln G, ln Gn and alpha over the deviation that the unchanged record states. The live state
 is the last before the recording ends, of a rig in the hold: there is no air after it.
 """
@@ -14,13 +14,12 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, measured
-from benchmark.measured import Test, read_tests, some_of
 from benchmark.presses import CASES, parameters_of, scenario_of
 from benchmark.score import share
 from benchmark.trial import feed, presses_of
@@ -38,48 +37,38 @@ examples:
   fden benchmark invariance --json | jq '.figures.rigs'
 """
 
-#: All stamps are shifted by this [ns].
-_SHIFT_NS = 12_345_678_901
-_NANOMETRE, _TENTH_MICROMETRE = 1e-9, 1e-7
 #: Recordings end so long before the retreat [s], which would be seen by the summary alone.
 _BEFORE_RETREAT = 0.05
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY = 1e-9
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """A recording, and the identifier's parameters."""
 
     number: int
     recording: Recording
     parameters: Mapping[str, Any]
 
-    def with_streams(self, change: Callable[[Stream], Stream], *, both: bool = True) -> Record:
-        """Return the same with its displacement changed, and its force too."""
-        force, moved = self.recording.force, change(self.recording.displacement)
-        changed = replace(
-            self.recording, force=change(force) if both else force, displacement=moved
-        )
-        return replace(self, recording=changed)
+    def with_streams(self, change: Callable[[Stream], Stream]) -> Record:
+        """Return the same with its streams changed."""
+        force, moved = map(change, self.recording.streams)
+        return self._replace(recording=replace(self.recording, force=force, displacement=moved))
 
 
 def _noisy(size: float) -> Callable[[Record], Record]:
     def change(record: Record) -> Record:
+        moved = record.recording.displacement
         generator = np.random.default_rng([record.number, 29])
-
-        def noisy(stream: Stream) -> Stream:
-            return replace(
-                stream, value=stream.value + generator.normal(0.0, size, stream.value.size)
-            )
-
-        return record.with_streams(noisy, both=False)
+        noisy = moved.value + generator.normal(0.0, size, moved.value.size)
+        displacement = replace(moved, value=noisy)
+        return record._replace(recording=replace(record.recording, displacement=displacement))
 
     return change
 
 
 def _shifted(record: Record) -> Record:
-    return record.with_streams(lambda one: replace(one, stamp_ns=one.stamp_ns + _SHIFT_NS))
+    return record.with_streams(lambda one: replace(one, stamp_ns=one.stamp_ns + 12_345_678_901))
 
 
 def _halved(record: Record) -> Record:
@@ -89,9 +78,8 @@ def _halved(record: Record) -> Record:
 
 
 def _with_period(period: float) -> Callable[[Record], Record]:
-    return lambda record: replace(
-        record, parameters={**record.parameters, "estimate.period": period}
-    )
+    own = {"estimate.period": period}
+    return lambda record: record._replace(parameters={**record.parameters, **own})
 
 
 class Change(NamedTuple):
@@ -105,9 +93,9 @@ class Change(NamedTuple):
 
 #: 10 ms is the default period.
 CHANGES = {
-    "noise of 1 nm": Change(_noisy(_NANOMETRE), 0.1, 1.0, 0.1),
+    "noise of 1 nm": Change(_noisy(1e-9), 0.1, 1.0, 0.1),
     "stamps shifted": Change(_shifted, 0.1, 1.0, 0.1),
-    "noise of 0.1 um": Change(_noisy(_TENTH_MICROMETRE), 0.2, 0.95, 0.5),
+    "noise of 0.1 um": Change(_noisy(1e-7), 0.2, 0.95, 0.5),
     "period of 20 ms": Change(_with_period(0.02), 0.2, 0.95, 0.5),
     "period of 50 ms": Change(_with_period(0.05), 0.2, 0.95, 0.5),
     "every second sample left out": Change(_halved, 0.5, 0.9, 2.0),
@@ -121,36 +109,14 @@ Moves = Mapping[str, Array]
 
 def run(args: argparse.Namespace) -> Report:
     """Identify every record as it is and changed, and hold the moves against their goals."""
-    found = {
-        "rigs": measured(run_trial, [(n,) for n in args.numbers], jobs=args.jobs, what="rigs")
-    }
-    if args.data is not None:
-        tests = read_tests(args.data)
-        chosen = some_of(tests, args.contacts) if args.quick else tests
-        tasks = [(tested(number, test),) for number, test in enumerate(chosen)]
-        moves = measured(moves_of, tasks, jobs=args.jobs, what="measured tests")
-        for test, moved in zip(chosen, moves, strict=True):
-            found.setdefault(test.kind, []).append(moved)
-    tables = {
-        kind: Table(f"Moves in stated deviations, {kind}: ln G, ln Gn, alpha", rows_of(own))
-        for kind, own in found.items()
-    }
-    return Report([goal for kind, own in found.items() for goal in goals_of(kind, own)], tables)
+    found = measured(run_trial, [(n,) for n in args.numbers], jobs=args.jobs, what="rigs")
+    table = Table("Moves in stated deviations: ln G, ln Gn, alpha", rows_of(found))
+    return Report(goals_of(found), {"rigs": table})
 
 
 def run_trial(number: int) -> Moves:
     """Simulate record `number`, and identify it as it is and after each change."""
     return moves_of(simulated(number))
-
-
-def tested(number: int, test: Test) -> Record:
-    """Return a measured test as a record."""
-    stamps = START_NS + np.round(NANOSECONDS * test.times).astype(np.int64)
-    force, moved = (
-        Stream(stamps, values, None, "", "", (0.0, 0.0, 1.0), "")
-        for values in (test.forces, test.displacements)
-    )
-    return Record(number, Recording(force, moved, {}), test.parameters)
 
 
 def simulated(number: int) -> Record:
@@ -187,7 +153,7 @@ def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
     """Return the last live estimate, and that of the last summary."""
     outputs: list[Output] = []
     pipeline = Pipeline(pipeline_config(check(dict(record.parameters))), outputs.append)
-    feed(pipeline, record.recording, to_the_end=False)
+    feed(pipeline, record.recording)
     live = [o.estimate for o in outputs if isinstance(o, TissueState)]
     pipeline.finish()
     whole = [o.estimate for o in outputs if isinstance(o, ContactSummary)]
@@ -196,39 +162,34 @@ def identify(record: Record) -> tuple[Estimate | None, Estimate | None]:
 
 def rows_of(found: Sequence[Moves]) -> dict[str, dict[str, Any]]:
     """Return the figures of each change: over the records, for each parameter."""
-    return {
-        name: _row_of(np.array([moves[name] for moves in found if name in moves]))
-        for name in (*CHANGES, LIVE)
-        if any(name in moves for moves in found)
-    }
+    rows: dict[str, dict[str, Any]] = {}
+    for name in (*CHANGES, LIVE):
+        values = np.array([moves[name] for moves in found if name in moves])
+        if values.size:
+            rows[name] = {
+                "records": len(values),
+                "median": np.median(values, axis=0),
+                "95 %": np.quantile(values, 0.95, axis=0, method="inverted_cdf"),
+                "largest": values.max(axis=0),
+                "beyond 1": share(values.max(axis=1) > 1.0),
+            }
+    return rows
 
 
-def _row_of(values: Array) -> dict[str, Any]:
-    return {
-        "records": len(values),
-        "median": np.median(values, axis=0),
-        "95 %": np.quantile(values, 0.95, axis=0, method="inverted_cdf"),
-        "largest": values.max(axis=0),
-        "beyond 1": share(values.max(axis=1) > 1.0),
-    }
-
-
-def goals_of(kind: str, found: Sequence[Moves]) -> list[Goal]:
-    """Hold the moves of all records of a kind against the goals."""
+def goals_of(found: Sequence[Moves]) -> list[Goal]:
+    """Hold the moves of all records against the goals."""
     goals = []
     for name, change in CHANGES.items():
         largest = np.array([moves[name].max() for moves in found if name in moves])
         if change.quantile < 1.0:
             within_usual = share(largest <= change.usual).value
-            words = f"{kind}, {name}: records that move by at most {change.usual:g}"
+            words = f"{name}: records that move by at most {change.usual:g}"
             goals.append(at_least(words, within_usual, change.quantile))
         most = float(min(largest.max(), 1e9)) if largest.size else math.nan
-        goals.append(at_most(f"{kind}, {name}: largest move", most, change.most))
+        goals.append(at_most(f"{name}: largest move", most, change.most))
     live = [float(moves[LIVE].max()) for moves in found if LIVE in moves]
-    goals.append(
-        at_most(f"{kind}, {LIVE}: largest move", max(live, default=math.nan), _LIVE_LIMIT)
-    )
-    return goals
+    largest_live = max(live, default=math.nan)
+    return [*goals, at_most(f"{LIVE}: largest move", largest_live, _LIVE_LIMIT)]
 
 
-BENCHMARK = Benchmark(run, EPILOG, contacts=(20, 3), data=True)
+BENCHMARK = Benchmark(run, EPILOG, contacts=(20, 3))

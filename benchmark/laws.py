@@ -11,7 +11,10 @@ before its end. What is converged without a warning flag, or told to be of anoth
 predicted and counts: the share of the samples in the 95 % interval, and its half width in percent
 of the peak; the others are refused.
 
-N/m is asked for apart (``law_stiffness.py``): of laws without relaxation, and with other probes.
+N/m is asked for apart, of laws without relaxation too. Each law is pressed with three probes, on
+two rigs. At each moment of a press what is published, converged or not, is held against the
+simulation itself: with a step of a thousandth of the depth and without, after the time scale. What
+is flagged does not count.
 """
 
 from __future__ import annotations
@@ -21,23 +24,11 @@ import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmark import law_stiffness
 from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most, by_case
-from benchmark.law_stiffness import (
-    GEOMETRIES,
-    TIME_SCALE,
-    Found,
-    Press,
-    Stress,
-    found_at,
-    hunt_crossley,
-    kelvin_voigt,
-)
 from benchmark.other_laws import (
     Law,
     Relaxation,
@@ -47,10 +38,11 @@ from benchmark.other_laws import (
     standard_linear_solid,
     stress_of_law,
 )
-from benchmark.score import TWO_SIDED_95, Share, mean_of, rms, share, total
+from benchmark.score import TWO_SIDED_95, Share, mean_of, rms, share, total, warns
 from benchmark.trial import elapsed, fed, last_summaries
 from fden_ros.control import LiveTissue
 from fden_ros.core.arrays import Array
+from fden_ros.core.law import Geometry
 from fden_ros.core.outputs import Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS
@@ -73,8 +65,9 @@ RIGID, ARM = "testing machine", "arm's defaults"
 _RIG: Mapping[str, Mapping[str, float]] = {RIGID: KNOWN_RIG, ARM: {}}
 _THICKNESS_M, _AREA_M2 = 0.02, math.pi * 0.01**2
 _RATE_HZ = 50.0
-#: Steps of the simulation for each sample.
+#: Steps of the simulation for each sample, and their length [s].
 _CUTS = 10
+_STEP = 1.0 / (_RATE_HZ * _CUTS)
 #: Of the peak.
 _NOISE_SHARE = 1e-3
 _MAX_STRAIN = 0.25
@@ -91,6 +84,34 @@ _LATER_S = 0.5
 MOMENTS = ("on the ramp", "its end", "0.5 s later", "half way", "3 s before the end")
 
 
+#: From the strains of the probe at the end of each step to stresses.
+Stress = Callable[[Array], Array]
+
+GEOMETRIES: Mapping[str, Mapping[str, Any]] = {
+    "flat punch": {
+        "geometry.kind": "flat_punch",
+        "geometry.area": math.pi * 0.01**2,
+        "geometry.thickness": 0.02,
+    },
+    "punch in a wide layer": {
+        "geometry.kind": "flat_punch",
+        "geometry.area": math.pi * 0.005**2,
+        "geometry.thickness": 0.02,
+        "geometry.hayes": True,
+    },
+    "sphere": {"geometry.kind": "sphere", "geometry.radius": 0.01},
+    "sphere on a layer": {
+        "geometry.kind": "sphere",
+        "geometry.radius": 0.01,
+        "geometry.thickness": 0.01,
+    },
+}
+#: How long the small motion lasts [s], and its size in parts of the compression [1].
+TIME_SCALE, _SIZE = 0.1, 1e-3
+#: How well the simulation tells it: its step takes a fiftieth of the time scale [1].
+_RESOLUTION = 0.005
+
+
 class Case(NamedTuple):
     """One law: from a model whose numbers are drawn to the tissue, and presses of one place."""
 
@@ -100,14 +121,13 @@ class Case(NamedTuple):
     presses: int = 1
 
 
-def _relaxing(name: str, says: str, relaxation: Relaxation) -> Case:
-    return Case(name, says, lambda model: Law(model, relaxation))
-
-
 def _own(name: str, says: str, presses: int = 1, **changes: Any) -> Case:
-    """Return the law's own relaxation with another curve, or with wear."""
-    made = lambda model: Law(model, springpot(model.fractional_order), **changes)  # noqa: E731
-    return Case(name, says, made, presses)
+    """Return a law whose relaxation is FDEN's own unless it is among the changes."""
+
+    def law(model: FdenModel) -> Law:
+        return Law(model, **{"relaxation": springpot(model.fractional_order)} | changes)
+
+    return Case(name, says, law, presses)
 
 
 def _springpot_and_spring(model: FdenModel) -> Law:
@@ -115,17 +135,14 @@ def _springpot_and_spring(model: FdenModel) -> Law:
     return Law(model, Relaxation(springpots=half, exponentials=((0.5, 0.0),)))
 
 
+_TWO = Relaxation(springpots=((0.5, 0.1), (0.5, 0.4)))
 _ALL = (
-    _relaxing("poroelastic_2", "poroelastic, 2 s", poroelastic(2.0)),
-    _relaxing("poroelastic_20", "poroelastic, 20 s", poroelastic(20.0)),
-    _relaxing("linear_solid_1", "standard linear solid, 1 s", standard_linear_solid(1.0)),
-    _relaxing("linear_solid_10", "standard linear solid, 10 s", standard_linear_solid(10.0)),
-    _relaxing("quasi_linear", "quasi-linear viscoelastic", quasi_linear(0.15, 0.01, 100.0)),
-    _relaxing(
-        "two_springpots",
-        "two fractional elements",
-        Relaxation(springpots=((0.5, 0.1), (0.5, 0.4))),
-    ),
+    _own("poroelastic_2", "poroelastic, 2 s", relaxation=poroelastic(2.0)),
+    _own("poroelastic_20", "poroelastic, 20 s", relaxation=poroelastic(20.0)),
+    _own("linear_solid_1", "standard linear solid, 1 s", relaxation=standard_linear_solid(1.0)),
+    _own("linear_solid_10", "standard linear solid, 10 s", relaxation=standard_linear_solid(10.0)),
+    _own("quasi_linear", "quasi-linear viscoelastic", relaxation=quasi_linear(0.15, 0.01, 100.0)),
+    _own("two_springpots", "two fractional elements", relaxation=_TWO),
     Case("springpot_and_spring", "fractional and elastic", _springpot_and_spring),
     # Three times the linear stress at the deepest.
     _own("cubic", "cubic stress-strain curve", characteristic=lambda x: x + 32.0 * x**3),
@@ -183,25 +200,31 @@ def _drawn(name: str, number: int) -> tuple[np.random.Generator, FdenModel]:
     return generator, model
 
 
-def recorded(case: Case, number: int) -> Recording:
-    """Return recording `number` of a case."""
-    generator, model = _drawn(case.name, number)
-    rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
-    hold = float(generator.uniform(8.0, 12.0))
-    top = -_HEIGHT_M / _THICKNESS_M * float(generator.uniform(1.0, 1.2))
+def _motion(
+    rate: float, top: float, hold: float, presses: int = 1
+) -> tuple[Array, Array, list[tuple[float, float]]]:
+    """Return times [s] and strains of steps, and from when to when each press is held [s]."""
     knots, strains = [0.0, _AIR_S], [top, top]
     holds: list[tuple[float, float]] = []
-    for _ in range(case.presses):
+    for _ in range(presses):
         deepest = knots[-1] + (_MAX_STRAIN - top) / rate
         lifted = deepest + hold
         holds.append((deepest, lifted))
         out = lifted + (_MAX_STRAIN - top) / _RETRACT_RATE
         knots += [deepest, lifted, out, out + _AIR_S]
         strains += [_MAX_STRAIN, _MAX_STRAIN, top, top]
-    step = 1.0 / (_RATE_HZ * _CUTS)
-    fine: Array = step * np.arange(1.0, int(knots[-1] / step) + 1.0)
-    motion = np.interp(fine, knots, strains)
-    forces = _AREA_M2 * stress_of_law(case.law(model), motion, step)[_CUTS - 1 :: _CUTS]
+    times: Array = _STEP * np.arange(1.0, int(knots[-1] / _STEP) + 1.0)
+    return times, np.interp(times, knots, strains), holds
+
+
+def recorded(case: Case, number: int) -> Recording:
+    """Return recording `number` of a case."""
+    generator, model = _drawn(case.name, number)
+    rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
+    hold = float(generator.uniform(8.0, 12.0))
+    top = -_HEIGHT_M / _THICKNESS_M * float(generator.uniform(1.0, 1.2))
+    fine, motion, holds = _motion(rate, top, hold, case.presses)
+    forces = _AREA_M2 * stress_of_law(case.law(model), motion, _STEP)[_CUTS - 1 :: _CUTS]
     peak = float(forces.max())
     times: Array = fine[_CUTS - 1 :: _CUTS]
     moments = []
@@ -269,14 +292,110 @@ def _predicted(recording: Recording, live: LiveTissue, heard: float, moment: str
     return Predicted(moment, "", inside, width_of / recording.peak_n, error / recording.peak_n)
 
 
+# N/m
+
+
+class Press(NamedTuple):
+    """A simulated motion, and how it is sampled."""
+
+    strains: Array  #: of the probe at the end of each step, negative in the air
+    noise: Array  #: of the samples, in parts of the largest force
+    instants: tuple[float, ...]  #: at which N/m is asked for [s]
+
+
+class Found(NamedTuple):
+    """N/m at one moment."""
+
+    is_known: bool
+    is_flagged: bool = False
+    is_inside: bool = False  #: the truth lies in the 95 % interval
+    ratio: float = math.nan  #: to the truth
+    half_width: float = math.nan  #: of the interval, in parts of the value
+
+
+def found_at(press: Press, stress: Stress, parameters: Mapping[str, Any]) -> list[Found]:
+    """Return what is published at the moments of a press, beside the truth.
+
+    The strains are pressed whatever the geometry: the way follows from them.
+    """
+    config = pipeline_config(check(parameters))
+    geometry = config.geometry
+    strains, per_force = press.strains, geometry.stress_per_force
+    compressions = np.sign(strains) * [geometry.compression(x) for x in np.abs(strains)]
+    forces = stress(strains)[_CUTS - 1 :: _CUTS] / per_force
+    forces = forces + press.noise * forces.max()
+    depths = geometry.length * compressions[_CUTS - 1 :: _CUTS]
+    times = _STEP * _CUTS * np.arange(1.0, depths.size + 1.0)
+    newest: list[TissueState] = []
+
+    def hear(output: Output) -> None:
+        if isinstance(output, TissueState):
+            newest[:] = [output]
+
+    pipeline, waiting, found = Pipeline(config, hear), list(press.instants), []
+    for _ in fed(pipeline, times, forces, depths, placed=True):
+        if waiting and newest and elapsed(newest[0].stamp_ns) >= waiting[0]:
+            waiting.pop(0)
+            truth = _truth(press, stress, geometry, elapsed(newest[0].stamp_ns))
+            found.append(_beside(newest[0], truth))
+    pipeline.finish()
+    return found
+
+
+def _beside(state: TissueState, truth: float) -> Found:
+    one = state.apparent_stiffness
+    if one is None:
+        return Found(False)
+    reach = TWO_SIDED_95 * one.sd
+    is_inside = abs(one.value - truth) <= reach + _RESOLUTION * truth
+    return Found(True, warns(state.flags), is_inside, one.value / truth, reach / one.value)
+
+
+def _truth(press: Press, stress: Stress, geometry: Geometry, at: float) -> float:
+    """Return what a small step meets after the time scale [N/m], from a time on [s]."""
+    before = press.strains[: round(at / _STEP)]
+    compression = geometry.compression(float(before[-1]))
+    count, forces = round(TIME_SCALE / _STEP), []
+    for moved in (compression, compression * (1.0 + _SIZE)):
+        stays = np.full(count, geometry.strain(moved))
+        after = stress(np.concatenate([before, stays]))[-1]
+        forces.append(float(after) / geometry.stress_per_force)
+    return (forces[1] - forces[0]) / (_SIZE * compression * geometry.length)
+
+
+def stiffness_row(found: list[Found]) -> dict[str, Any]:
+    """Return the figures of a law."""
+    known = [one for one in found if one.is_known]
+    counted = [one for one in known if not one.is_flagged]
+    row: dict[str, Any] = {
+        "known": Share(len(known), len(found)),
+        "flagged": share(one.is_flagged for one in known),
+        "in 95 %": share(one.is_inside for one in counted),
+    }
+    if counted:
+        row["ratio, median"] = float(np.median([one.ratio for one in counted]))
+        row["half width"] = float(np.median([one.half_width for one in counted]))
+    return row
+
+
 def _stress_of(name: str, generator: np.random.Generator, model: FdenModel) -> Stress:
-    """Return the stress of a law, or of spring and dashpot, or of Hunt and Crossley."""
-    if name == "kelvin_voigt":
-        return kelvin_voigt(model.linear_stiffness, float(generator.uniform(0.02, 0.2)))
-    if name == "hunt_crossley":
-        numbers = generator.uniform([1.0, 0.1], [2.0, 1.0])
-        return hunt_crossley(4.0 * model.linear_stiffness, *numbers.tolist())
-    return partial(stress_of_law, CASES[name].law(model))
+    """Return the stress of a law, of spring and dashpot, or of Hunt and Crossley, in contact."""
+    if name in CASES:
+        return lambda strains: stress_of_law(CASES[name].law(model), strains, _STEP)
+    is_dashpot = name == "kelvin_voigt"
+    if is_dashpot:
+        exponent, damping = 1.0, float(generator.uniform(0.02, 0.2))
+    else:
+        exponent, damping = generator.uniform([1.0, 0.1], [2.0, 1.0]).tolist()
+    scale = model.linear_stiffness * (1.0 if is_dashpot else 4.0)
+
+    def stress(strains: Array) -> Array:
+        inside = np.maximum(strains, 0.0)
+        rates = damping * np.diff(inside, prepend=0.0) / _STEP
+        pushed = inside + rates if is_dashpot else inside**exponent * (1.0 + rates)
+        return np.maximum(scale * pushed, 0.0) * (strains > 0.0)
+
+    return stress
 
 
 def run_stiffness(which: tuple[str, str, str], number: int) -> list[Found]:
@@ -285,20 +404,13 @@ def run_stiffness(which: tuple[str, str, str], number: int) -> list[Found]:
     generator, model = _drawn(f"{name}, {geometry}", number)
     rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
     top = -_HEIGHT_M / _THICKNESS_M
-    deepest = _AIR_S + (_MAX_STRAIN - top) / rate
-    lifted = deepest + float(generator.uniform(3.0, 6.0))
-    out = lifted + (_MAX_STRAIN - top) / _RETRACT_RATE
-    knots = [0.0, _AIR_S, deepest, lifted, out, out + _AIR_S]
-    step = 1.0 / (_RATE_HZ * _CUTS)
-    fine = step * np.arange(1.0, int(knots[-1] / step) + 1.0)
-    strains = np.interp(fine, knots, [top, top, _MAX_STRAIN, _MAX_STRAIN, top, top])
+    fine, strains, holds = _motion(rate, top, float(generator.uniform(3.0, 6.0)))
+    deepest, lifted = holds[0]
     noise = _NOISE_SHARE * generator.standard_normal(fine.size // _CUTS)
     touch = _AIR_S - top / rate
     instants = touch + _ON_RAMP * (deepest - touch), deepest, 0.5 * (deepest + lifted), lifted
-    press = Press(strains, step, _CUTS, noise, instants)
-    return found_at(
-        press, _stress_of(name, generator, model), {**GEOMETRIES[geometry], **_RIG[rig]}
-    )
+    press, stress = Press(strains, noise, instants), _stress_of(name, generator, model)
+    return found_at(press, stress, {**GEOMETRIES[geometry], **_RIG[rig]})
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -343,7 +455,7 @@ def _stiffness_rows(args: argparse.Namespace, rigs: Sequence[str]) -> dict[str, 
         says = CASES[name].says if name in CASES else _OTHERS[name]
         for group in (f"{says}, {rig}", f"all, {geometry}, {rig}", f"all, {rig}"):
             groups.setdefault(group, []).extend(moments)
-    return {group: law_stiffness.row_of(found) for group, found in groups.items()}
+    return {group: stiffness_row(found) for group, found in groups.items()}
 
 
 def row_of(trials: Sequence[Trial]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import math
 import os
@@ -188,11 +189,12 @@ def measure(
         sink = stack.enter_context(_process([*me, "sink"], environment))
         controller = stack.enter_context(_process([*me, "controller"], environment))
         for _ in range(burners):
-            stack.enter_context(_burner())
+            command = [sys.executable, "-c", "while True: pass"]
+            stack.enter_context(_process(command, environment))
         tested: dict[str, Any] = {}
         for what in dict.fromkeys(turn.what for turn in plan):
             own = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier"]
-            command = [*own, *_node_arguments()] if what == NODE else [*me, "relay"]
+            command = [*own, *_NODE_ARGUMENTS] if what == NODE else [*me, "relay"]
             tested[what] = stack.enter_context(_process(command, environment))
         sender = stack.enter_context(_process([*me, "source", "--turns", turns], environment))
         watched = []
@@ -200,9 +202,8 @@ def measure(
             watched.append(_watch(turn, tested[turn.what].pid, sender))
             show(len(watched))
         _ended(sender)
-        for what, process in tested.items():
-            # The relay leaves nothing to tidy up.
-            process.send_signal(signal.SIGINT if what == NODE else signal.SIGKILL)
+        for process in tested.values():
+            process.send_signal(signal.SIGINT)
             _ended(process)
         sink.send_signal(signal.SIGINT)
         heard = json.loads(_ended(sink))
@@ -287,15 +288,10 @@ def _shares(turns: Sequence[_Watched], ticks: NDArray[np.int64]) -> dict[str, Sh
     }
 
 
-def _node_arguments() -> list[str]:
-    parameters = {
-        "autostart": "true",
-        "geometry.area": "3.14159e-4",
-        "geometry.thickness": "0.02",
-    }
-    pairs = [("-p", f"{name}:={value}") for name, value in parameters.items()]
-    namespace = ("-r", f"__ns:={_NAMESPACES[NODE]}")
-    return ["--ros-args", *namespace, *(word for pair in pairs for word in pair)]
+_NODE_ARGUMENTS = f"""
+    --ros-args -r __ns:={_NAMESPACES[NODE]} -p autostart:=true
+    -p geometry.area:=3.14159e-4 -p geometry.thickness:=0.02
+""".split()
 
 
 @contextlib.contextmanager
@@ -311,7 +307,7 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
         )
         try:
             yield process
-            if process.returncode > 0:
+            if (process.returncode or 0) > 0:
                 errors.seek(0)
                 words = " ".join(errors.read().split())[-300:]
                 raise InputError(f"{command[2:4]} ended with {process.returncode}: {words}")
@@ -319,18 +315,6 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
             if process.poll() is None:
                 process.kill()
             process.communicate()
-
-
-@contextlib.contextmanager
-def _burner() -> Iterator[None]:
-    """Have a process that only computes."""
-    command = [sys.executable, "-c", "while True: pass"]
-    process = subprocess.Popen(command, preexec_fn=end_with_parent)
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
 
 
 def end_with_parent() -> None:
@@ -346,30 +330,14 @@ def _ended(process: Any) -> str:
 
 
 def _cpu_seconds(pid: int) -> float:
-    ticks = 0
-    for one in _family(pid):
-        fields = Path(f"/proc/{one}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        ticks += int(fields[11]) + int(fields[12])
-    return ticks / _CLOCK_TICKS
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS
 
 
 def _memory_mb(pid: int) -> float:
-    total = 0.0
-    for one in _family(pid):
-        status = Path(f"/proc/{one}/status").read_text(encoding="ascii").splitlines()
-        lines = (line.split() for line in status if line.startswith("VmRSS"))
-        total += sum(int(words[1]) / 1024.0 for words in lines)
-    return total
-
-
-def _family(pid: int) -> list[int]:
-    """Return a process with those that it has begun."""
-    found = [pid]
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        # A thread may end in the meantime.
-        with contextlib.suppress(FileNotFoundError):
-            found += map(int, (task / "children").read_text().split())
-    return found
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
+    (line,) = (line for line in status if line.startswith("VmRSS"))
+    return int(line.split()[1]) / 1024.0
 
 
 # The processes
@@ -451,52 +419,10 @@ def _packed(values: Array, rate: float) -> list[bytes]:
     return [struct.pack("<d", value) for value in found.tolist()]
 
 
-def _relay() -> None:
-    """Take the same messages, publish one of the same kind as often, compute nothing, for ever."""
+@contextlib.contextmanager
+def _spun(name: str, **options: Any) -> Iterator[Any]:
+    """Have a node, and spin it after the block, until a signal."""
     import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from fden_msgs.msg import TissueEstimate
-    from geometry_msgs.msg import WrenchStamped
-    from rclpy.signals import SignalHandlerOptions
-    from sensor_msgs.msg import JointState
-
-    from fden_ros.nodes.running import make_executor, spin
-    from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS
-
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("identifier", namespace=_NAMESPACES[RELAY])
-    estimates = node.create_publisher(TissueEstimate, "~/estimate", OUTPUT_TOPICS[0].profile(0.01))
-    diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    estimate = TissueEstimate()
-    counts = [0, 0]
-
-    def on_force(message: Any) -> None:
-        counts[0] += 1
-        if counts[0] % _BLOCK == 0:
-            estimate.header = message.header
-            estimates.publish(estimate)
-
-    def on_displacement(message: Any) -> None:
-        counts[1] += 1
-
-    def tell() -> None:
-        pairs = KeyValue(key="pairs", value=str(min(counts)))
-        diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name=RELAY, values=[pairs])]))
-
-    node.create_subscription(WrenchStamped, "force", on_force, INPUT_QOS)
-    node.create_subscription(JointState, "displacement", on_displacement, INPUT_QOS)
-    node.create_timer(1.0, tell)
-    executor = make_executor()
-    executor.add_node(node)
-    spin(executor, lambda: False)
-
-
-def _sink() -> None:
-    """Hear the results: when they came, and what was counted."""
-    import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from fden_msgs.msg import TissueEstimate
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
     from rclpy.signals import SignalHandlerOptions
 
     from fden_ros.nodes.running import make_executor, spin
@@ -505,17 +431,64 @@ def _sink() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _: stopped.append(caught))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("sink")
+    node = rclpy.create_node(name, **options)
+    yield node
+    executor = make_executor()
+    executor.add_node(node)
+    spin(executor, lambda: bool(stopped))
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _relay() -> None:
+    """Take the same messages, publish one of the same kind as often, compute nothing."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from fden_msgs.msg import TissueEstimate
+    from geometry_msgs.msg import WrenchStamped
+    from sensor_msgs.msg import JointState
+
+    from fden_ros.ros.topics import INPUT_QOS, OUTPUT_TOPICS
+
+    estimate = TissueEstimate()
+    counts = [0, 0]
+    with _spun("identifier", namespace=_NAMESPACES[RELAY]) as node:
+        qos = OUTPUT_TOPICS[0].profile(0.01)
+        estimates = node.create_publisher(TissueEstimate, "~/estimate", qos)
+        diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+        def on_force(message: Any) -> None:
+            counts[0] += 1
+            if counts[0] % _BLOCK == 0:
+                estimate.header = message.header
+                estimates.publish(estimate)
+
+        def on_displacement(message: Any) -> None:
+            counts[1] += 1
+
+        def tell() -> None:
+            pairs = KeyValue(key="pairs", value=str(min(counts)))
+            status = DiagnosticStatus(name=RELAY, values=[pairs])
+            diagnostics.publish(DiagnosticArray(status=[status]))
+
+        node.create_subscription(WrenchStamped, "force", on_force, INPUT_QOS)
+        node.create_subscription(JointState, "displacement", on_displacement, INPUT_QOS)
+        node.create_timer(1.0, tell)
+
+
+def _sink() -> None:
+    """Receive the results: when they came, and what was counted."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from fden_msgs.msg import TissueEstimate
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
     arrivals: dict[str, list[tuple[int, int]]] = {what: [] for what in _NAMESPACES}
     counts: dict[str, list[tuple[int, dict[str, int]]]] = {what: [] for what in _NAMESPACES}
 
-    def hear(what: str) -> Callable[[bytes], None]:
-        def on_estimate(data: bytes) -> None:
-            now = time.time_ns()
-            seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
-            arrivals[what].append((seconds * 1_000_000_000 + nanoseconds, now))
-
-        return on_estimate
+    def on_estimate(what: str, data: bytes) -> None:
+        now = time.time_ns()
+        seconds, nanoseconds = _STAMP.unpack_from(data, _BODY)
+        arrivals[what].append((seconds * 1_000_000_000 + nanoseconds, now))
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         status = message.status[0]
@@ -526,58 +499,42 @@ def _sink() -> None:
         counts[what].append((time.time_ns(), counted | {"lost": max(lost, default=0)}))
 
     qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-    for what, namespace in _NAMESPACES.items():
-        topic = f"{namespace}/identifier/estimate"
-        node.create_subscription(TissueEstimate, topic, hear(what), qos, raw=True)
-    node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, qos)
-    executor = make_executor()
-    executor.add_node(node)
-    spin(executor, lambda: bool(stopped))
+    with _spun("sink") as node:
+        for what, namespace in _NAMESPACES.items():
+            topic = f"{namespace}/identifier/estimate"
+            hear = functools.partial(on_estimate, what)
+            node.create_subscription(TissueEstimate, topic, hear, qos, raw=True)
+        node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, qos)
     print(json.dumps({"arrivals": arrivals, "counts": counts}), flush=True)
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()
 
 
 def _controller() -> None:
-    """Be a controller beside the others: at each tick note the newest estimate, and its use."""
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-
+    """Be a controller: at each tick note the newest estimate, and its use."""
     from fden_ros.core.outputs import Status, TissueState
-    from fden_ros.nodes.running import make_executor, spin
     from fden_ros.tissue_feed import TissueFeed
 
-    stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda caught, _: stopped.append(caught))
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("controller")
     newest = dict.fromkeys(_NAMESPACES, 0)
     ticks: dict[str, list[tuple[int, int, int]]] = {what: [] for what in _NAMESPACES}
 
-    def listen(what: str) -> TissueFeed:
-        def on_state(state: TissueState) -> None:
-            if state.status is not Status.STALE:
-                newest[what] = state.stamp_ns
+    def on_state(what: str, state: TissueState) -> None:
+        if state.status is not Status.STALE:
+            newest[what] = state.stamp_ns
 
-        return TissueFeed(node, f"{_NAMESPACES[what]}/identifier", on_state=on_state)
+    with _spun("controller") as node:
+        feeds = {
+            what: TissueFeed(
+                node, f"{space}/identifier", on_state=functools.partial(on_state, what)
+            )
+            for what, space in _NAMESPACES.items()
+        }
 
-    feeds = {what: listen(what) for what in _NAMESPACES}
+        def tick() -> None:
+            for what, feed in feeds.items():
+                has_number = int(feed.reading() is not None)
+                ticks[what].append((time.time_ns(), newest[what], has_number))
 
-    def tick() -> None:
-        for what, feed in feeds.items():
-            has_number = int(feed.reading() is not None)
-            ticks[what].append((time.time_ns(), newest[what], has_number))
-
-    node.create_timer(_TICK, tick)
-    executor = make_executor()
-    executor.add_node(node)
-    spin(executor, lambda: bool(stopped))
+        node.create_timer(_TICK, tick)
     print(json.dumps(ticks), flush=True)
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()
 
 
 def main() -> None:

@@ -62,26 +62,14 @@ def quasi_linear(strength: float, shortest_s: float, longest_s: float) -> Relaxa
 
 @dataclass(frozen=True)
 class Law:
-    """A tissue that is not FDEN.
+    """A tissue that is not FDEN."""
 
-    Parameters
-    ----------
-    model : FdenModel
-        G, and Gn where the characteristic is that of FDEN; its alpha is not used.
-    relaxation : Relaxation
-    characteristic : callable or None
-        As in :class:`~fden_ros.simulation.tissue.Column`.
-    softening : float
-        Share of the stiffness that each press takes.
-    set_strain : float
-        By how much each press leaves the surface lower, as a strain.
-    """
-
-    model: FdenModel
-    relaxation: Relaxation
+    model: FdenModel  #: G, and Gn where the characteristic is that of FDEN; its alpha is not used
+    relaxation: Relaxation  #:
+    #: As in :class:`~fden_ros.simulation.tissue.Column`
     characteristic: Callable[[float], float] | None = None
-    softening: float = 0.0
-    set_strain: float = 0.0
+    softening: float = 0.0  #: Share of the stiffness that each press takes
+    set_strain: float = 0.0  #: By how much each press leaves the surface lower, as a strain
 
 
 def stress_of_law(law: Law, strains: Sequence[float] | FloatArray, step: float) -> FloatArray:

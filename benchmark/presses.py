@@ -12,15 +12,19 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from benchmark.score import Outcome
-from benchmark.slopes import slopes_held
-from benchmark.trial import outcome_from, through
+from benchmark.score import TWO_SIDED_95, Outcome, Share, share
+from benchmark.trial import feed, last_summaries, outcome_of, through
+from fden_ros.core.arrays import Array
+from fden_ros.core.config import PipelineConfig
+from fden_ros.core.outputs import Output
+from fden_ros.core.streams import Pair, StaticLinks, Synchronizer
 from fden_ros.parameters import check, pipeline_config
 from simulation.disturbance import Disturbances, SurfaceMotion
 from simulation.scenario import (
@@ -65,43 +69,24 @@ PRIOR: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of rig and press.
+    """One kind of rig and press."""
 
-    Parameters
-    ----------
-    name, says : str
-        What is disturbed, short and in words.
-    presses : tuple of Press
-        At each site.
-    disturbances, preload
-        As in a scenario.
-    sites : int
-        How many are touched, all of one tissue.
-    pitch_m : float
-        From one site to the next; 0: places are not told.
-    radius_m, noise_n, delay_s : float
-        Of the punch; white noise of the force; delay of the displacement that is not corrected.
-    liver : bool
-        The tissue is the paper's liver.
-    detection : bool
-        It is there to fool the detection of contact.
-    beyond : bool
-        Far beyond what a rig is expected to do: may be told as changed tissue.
-    """
-
+    #: What is disturbed, short and in words
     name: str
     says: str
-    presses: tuple[Press, ...] = (HOLD,)
+    presses: tuple[Press, ...] = (HOLD,)  #: At each site
+    #: As in a scenario
     disturbances: Disturbances = field(default_factory=Disturbances)
     preload: Preload = field(default_factory=Preload)
-    sites: int = 1
-    pitch_m: float = 0.0
+    sites: int = 1  #: How many are touched, all of one tissue
+    pitch_m: float = 0.0  #: From one site to the next; 0: places are not told
+    #: Of the punch; white noise of the force; delay of the displacement that is not corrected
     radius_m: float = _RADIUS_M
     noise_n: float = 0.010
     delay_s: float = 0.0
-    liver: bool = False
-    detection: bool = False
-    beyond: bool = False
+    liver: bool = False  #: The tissue is the paper's liver
+    detection: bool = False  #: It is there to fool the detection of contact
+    beyond: bool = False  #: Far beyond what a rig is expected to do: may be told as changed tissue
 
     @property
     def press_count(self) -> int:
@@ -122,37 +107,37 @@ class Case:
         return float(press.max_strain / press.strain_rate + getattr(press, "hold_s", 0.0))
 
 
-def _disturbed(name: str, says: str, *, beyond: bool = False, **disturbances: Any) -> Case:
-    return Case(name, says, disturbances=Disturbances(**disturbances), beyond=beyond)
+def _disturbed(name: str, says: str, **disturbances: Any) -> Case:
+    return Case(name, says, disturbances=Disturbances(**disturbances))
 
 
-def _fooling(name: str, says: str, **disturbances: Any) -> Case:
-    return replace(_disturbed(name, says, **disturbances), detection=True)
+def _fooling(name: str, says: str, radius_m: float = _RADIUS_M, **disturbances: Any) -> Case:
+    return replace(_disturbed(name, says, **disturbances), radius_m=radius_m, detection=True)
 
 
-def _breathing(peak_to_peak_m: float) -> SurfaceMotion:
-    return SurfaceMotion(peak_to_peak_m, rate_variation=0.1)
+def _moving(name: str, says: str, vibration_n: float, vibration_hz: float = 12.0) -> Case:
+    shaken = {"vibration_n": vibration_n, "vibration_hz": vibration_hz}
+    return _fooling(f"vibration_moving_{name}", says, _WIDE_RADIUS_M, **shaken)
 
 
-_BREATHES = _disturbed(
-    "breathing_1mm", "breathing 1 mm, hold", beyond=True, breathing=_breathing(1e-3)
-)
-_LIVER = Case("", "", (PRESS,), radius_m=_WIDE_RADIUS_M, liver=True, detection=True)
+_BREATHES = Disturbances(breathing=SurfaceMotion(1e-3, rate_variation=0.1))
 
 _ALL = (
     Case("undisturbed", "nothing; press and hold"),
     Case("undisturbed_press", "nothing; no hold", (PRESS,)),
-    replace(
-        _BREATHES, name="breathing_1mm_press", says="breathing 1 mm, 8 mm/s", presses=(_FAST,)
+    Case("breathing_1mm_press", "breathing 1 mm, 8 mm/s", (_FAST,), _BREATHES, beyond=True),
+    _disturbed(
+        "breathing_0.3mm", "breathing 0.3 mm, hold", breathing=SurfaceMotion(3e-4, 0.25, 0.1)
     ),
-    _disturbed("breathing_0.3mm", "breathing 0.3 mm, hold", breathing=_breathing(3e-4)),
-    _BREATHES,
+    Case("breathing_1mm", "breathing 1 mm, hold", disturbances=_BREATHES, beyond=True),
     _disturbed(
         "heartbeat_0.2mm", "heartbeat 0.2 mm, hold", heartbeat=SurfaceMotion(2e-4, 1.2, 0.1)
     ),
     _disturbed("compliance_0.2", "compliance 0.2 mm/N", compliance_m_per_n=2e-4),
     _disturbed("compliance_0.5", "compliance 0.5 mm/N", compliance_m_per_n=5e-4),
-    _disturbed("compliance_1.0", "compliance 1.0 mm/N", compliance_m_per_n=1e-3, beyond=True),
+    replace(
+        _disturbed("compliance_1.0", "compliance 1.0 mm/N", compliance_m_per_n=1e-3), beyond=True
+    ),
     # 20 mN after 2 s of contact.
     _disturbed("creep_20mN", "creep 20 mN in 2 s", creep_n=0.0316),
     Case("friction_20mN", "friction 20 mN", (PRESS,), Disturbances(friction_n=0.02)),
@@ -173,33 +158,17 @@ _ALL = (
         delay_s=0.0025,
         sites=10,
     ),
+    *(_moving(f"{size}mN", f"12 Hz, {size} mN, moving", size * 1e-3) for size in (50, 100)),
     *(
-        replace(
-            _fooling(
-                f"vibration_moving_{size}mN", f"12 Hz, {size} mN, moving", vibration_n=size * 1e-3
-            ),
-            radius_m=_WIDE_RADIUS_M,
-        )
-        for size in (50, 100)
-    ),
-    *(
-        replace(
-            _fooling(
-                f"vibration_moving_{rate}Hz",
-                f"{rate} Hz, 50 mN, moving",
-                vibration_n=0.05,
-                vibration_hz=float(rate),
-            ),
-            radius_m=_WIDE_RADIUS_M,
-        )
+        _moving(f"{rate}Hz", f"{rate} Hz, 50 mN, moving", 0.05, float(rate))
         for rate in (5, 8, 20, 35)
     ),
     *(
         replace(
-            _LIVER,
-            name=f"liver_white_{size}mN",
-            says=f"white {size} mN, liver",
+            Case(f"liver_white_{size}mN", f"white {size} mN, liver", (PRESS,), liver=True),
             noise_n=size * 1e-3,
+            radius_m=_WIDE_RADIUS_M,
+            detection=True,
         )
         for size in (15, 20)
     ),
@@ -221,11 +190,8 @@ _ALL = (
 CASES = {case.name: case for case in _ALL}
 
 
-def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
-    """Return recording `number` of a case; the seed is fixed.
-
-    With a `ratio` the punch is as wide as an undisturbed press takes so many times the noise.
-    """
+def scenario_of(case: Case, number: int) -> Scenario:
+    """Return recording `number` of a case; the seed is fixed."""
     seed = zlib.crc32(case.name.encode()) % 1_000_000_000 + number
     generator = np.random.default_rng([seed, _DRAWS])
     tissue = Tissue(
@@ -241,7 +207,7 @@ def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
     if case.preload.depth_m:
         # The later site is touched once.
         sites[1:] = [replace(site, presses=case.presses[:1]) for site in sites[1:]]
-    scenario = Scenario(
+    return Scenario(
         name=case.name,
         seed=seed,
         geometry=Geometry(
@@ -265,11 +231,6 @@ def scenario_of(case: Case, number: int, ratio: float = 0.0) -> Scenario:
         disturbances=case.disturbances,
         preload=case.preload,
     )
-    if not ratio:
-        return scenario
-    wider = math.sqrt(ratio * case.largest_noise_n / peak_n(scenario))
-    geometry = replace(scenario.geometry, radius_m=case.radius_m * wider)
-    return replace(scenario, geometry=geometry)
 
 
 def parameters_of(recording: Recording) -> dict[str, Any]:
@@ -281,16 +242,14 @@ def parameters_of(recording: Recording) -> dict[str, Any]:
     return own
 
 
-def trial_of(
-    case: Case, number: int, parameters: Mapping[str, Any], ratio: float = 0.0
-) -> Outcome:
+def trial_of(case: Case, number: int, parameters: Mapping[str, Any]) -> Outcome:
     """Simulate recording `number` of a case, identify it, and judge it."""
-    scenario = scenario_of(case, number, ratio)
+    scenario = scenario_of(case, number)
     recording = simulate(scenario)
     own = {**parameters, **parameters_of(recording)}
     config = pipeline_config(check(own))
     pipeline, outputs = through(recording, config)
-    outcome = outcome_from(recording, pipeline, outputs, case.held_s)
+    outcome = outcome_of(recording, pipeline, outputs, case.held_s)
     return replace(outcome, measured=slopes_held(scenario, config, outputs))
 
 
@@ -304,3 +263,54 @@ def peak_n(scenario: Scenario) -> float:
         force=replace(scenario.force, noise_n=0.0),
     )
     return float(simulate(quiet).force.value.max())
+
+
+# Measured slopes of force over displacement, next to those of the same motion without noise
+
+#: Way of the motion whose parabola gives the true slope [m].
+_WAY = 5e-4
+
+
+def slopes_held(scenario: Scenario, config: PipelineConfig, outputs: Sequence[Output]) -> Share:
+    """Return of how many measured slopes of the contacts the 95 % interval holds the true one."""
+    pairs: list[Pair] = []
+    feed(
+        Synchronizer(config.synchronize, pairs.append, Counter(), StaticLinks()),
+        simulate(_smooth(scenario)),
+    )
+    free = config.contact.compliance_free
+    motion = np.array([(pair.stamp_ns, free(pair, pair.force), pair.force) for pair in pairs])
+    return share(
+        abs(found.value - _slope(motion, found.stamp_ns, sign)) <= TWO_SIDED_95 * found.sd
+        for summary in last_summaries(outputs).values()
+        for sign, found in zip((1, -1), summary.measured, strict=True)
+        if found is not None
+    )
+
+
+def _slope(motion: Array, stamp_ns: int, sign: int) -> float:
+    """Return the slope of a motion of (stamp, place, force) [N/m], shape (n, 3), at a stamp.
+
+    By a parabola over half a millimetre: before the end of a loading, or from it on.
+    """
+    at = int(np.searchsorted(motion[:, 0], stamp_ns))
+    _, places, forces = motion[at::-sign].T
+    ways = places[0] - places
+    # What goes further than all before it; the last step may be part of the hold.
+    further = np.diff(np.maximum.accumulate(ways), prepend=-np.inf) > 0.0
+    inside = further & (ways > 0.0) & (ways <= _WAY)
+    line = np.polynomial.Polynomial.fit(-ways[inside], forces[inside], 2)
+    return float(line.deriv()(0.0))
+
+
+def _smooth(scenario: Scenario) -> Scenario:
+    """Return the scenario without white noise, hum, vibration and steps of the readings."""
+    noises = ("hum_n", "vibration_n", "force_step_n", "displacement_step_m")
+    steady: dict[str, Any] = dict.fromkeys(noises, 0.0)
+    return replace(
+        scenario,
+        # A signal without any is taken for one that is stuck.
+        force=replace(scenario.force, noise_n=1e-7),
+        displacement=replace(scenario.displacement, noise_m=1e-10),
+        disturbances=replace(scenario.disturbances, **steady),
+    )

@@ -36,14 +36,12 @@ from benchmark.harness import (
 from benchmark.presses import CASES, Case, peak_n, scenario_of, trial_of
 from benchmark.score import NAMES, Outcome, Share, figures_of, median, rms, share, total
 from fden_ros.core.outputs import Flag
-from fden_ros.errors import InputError
 
 EPILOG = """\
 examples:
   fden benchmark robots --quick
   fden benchmark robots --cases compliance_0.5,friction_20mN --contacts 20
   fden benchmark robots --parameters config/bench.yaml --jobs 2
-  fden benchmark robots --ratio 5 --cases hum_20mN,liver_white_20mN
 """
 
 #: A press this many times the noise is not to be missed.
@@ -53,42 +51,30 @@ _REFERENCE = ("undisturbed", "undisturbed_press")
 
 def run(args: argparse.Namespace) -> Report:
     """Simulate, identify and judge."""
-    if not (math.isfinite(args.ratio) and args.ratio >= 0.0):
-        raise InputError(f"--ratio is {args.ratio}; it must be positive")
     tasks = [
         (case.name, args.first + number)
         for case in args.cases
         for number in range(math.ceil(args.contacts / case.press_count))
     ]
-    found = by_case(run_trial, tasks, args.parameters, args.ratio, jobs=args.jobs)
-    rows = {
-        CASES[name].says: row_of(CASES[name], outcomes, args.ratio)
-        for name, outcomes in found.items()
-    }
+    found = by_case(run_trial, tasks, args.parameters, jobs=args.jobs)
+    rows = {CASES[name].says: row_of(CASES[name], each) for name, each in found.items()}
     return Report(
         goals_of(found, {case.name: rows[case.says] for case in args.cases}),
         {"cases": Table("Presses on a disturbed rig", rows, ("held", "sd"))},
     )
 
 
-def _more(parser: argparse.ArgumentParser) -> None:
-    words = "force of a press over the largest noise, by a wider punch (default: as planned)"
-    parser.add_argument("--ratio", type=float, default=0.0, metavar="R", help=words)
-
-
-def run_trial(name: str, number: int, parameters: Mapping[str, Any], ratio: float) -> Outcome:
+def run_trial(name: str, number: int, parameters: Mapping[str, Any]) -> Outcome:
     """Simulate recording `number` of a case, identify it, and judge it."""
-    return trial_of(CASES[name], number, parameters, ratio)
+    return trial_of(CASES[name], number, parameters)
 
 
-def row_of(case: Case, outcomes: Sequence[Outcome], ratio: float = 0.0) -> dict[str, Any]:
+def row_of(case: Case, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return the figures of a case over all of its recordings."""
     contacts = [contact for outcome in outcomes for contact in outcome.contacts]
     presses = sum(outcome.presses for outcome in outcomes)
     found = sum(len({c.number for c in o.contacts if c.number >= 0}) for o in outcomes)
-    is_clear = ratio >= _CLEAR or (
-        case.detection and peak_n(scenario_of(case, 0)) >= _CLEAR * case.largest_noise_n
-    )
+    is_clear = case.detection and (peak_n(scenario_of(case, 0)) >= _CLEAR * case.largest_noise_n)
     fine = [
         bool(c.flags & Flag.MODEL_MISMATCH) and not c.is_off for c in contacts if c.number >= 0
     ]
@@ -192,5 +178,4 @@ BENCHMARK = Benchmark(
     quick=("undisturbed", "friction_20mN", "breathing_1mm_press", "vibration_moving_100mN"),
     contacts=(50, 3),
     parameters=True,
-    more=_more,
 )

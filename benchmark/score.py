@@ -26,6 +26,8 @@ _DEVIATIONS, _SIZES = 5.0, np.array([0.03, 0.03, 0.01])
 #: Summaries and states with another flag than these say that something is wrong.
 _HARMLESS = Flag.INPUT_REJECTED
 _RESAMPLES = 1000
+#: Flags that say that the tissue is not what the law describes, or no longer the same.
+ALARMS = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
 
 
 class Share(NamedTuple):
@@ -109,33 +111,16 @@ def judged(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the pipeline made of one recording.
+    """What the pipeline made of one recording."""
 
-    Parameters
-    ----------
-    presses : int
-        Made.
-    contacts : tuple of Judged
-        By the last summary of each.
-    claims : Share
-        Of the unflagged CONVERGED states those that are off.
-    live : Flag
-        All that the states told.
-    held : ndarray
-        Stated deviations at the end of the first press's hold, shape (3,).
-    stuck : int
-        Samples dropped as stuck.
-    measured : Share
-        Of the measured slopes of the contacts those whose 95 % interval holds that of the motion
-        without noise.
-    """
-
-    presses: int
-    contacts: tuple[Judged, ...]
-    claims: Share
-    live: Flag
-    held: Array
-    stuck: int = 0
+    presses: int  #: Made
+    contacts: tuple[Judged, ...]  #: By the last summary of each
+    claims: Share  #: Of the unflagged CONVERGED states those that are off
+    live: Flag  #: All that the states told
+    held: Array  #: Stated deviations at the end of the first press's hold, shape (3,)
+    stuck: int = 0  #: Samples dropped as stuck
+    #: Of the measured slopes of the contacts those whose 95 % interval holds that of the
+    #: motion without noise
     measured: Share = _NONE
 
 
@@ -151,7 +136,6 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     known = [contact for contact in pressed if contact.estimate is not None]
     error = np.array([contact.error for contact in known]).reshape(-1, 3)
     deviation = np.array([contact.deviation for contact in known]).reshape(-1, 3)
-    told = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
     return {
         "undetected": Share(sum(c.is_silent for c in every), sum(o.presses for o in outcomes)),
         "live": total(outcome.claims for outcome in outcomes),
@@ -159,7 +143,7 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "in 95 %": _mean(np.abs(error) <= TWO_SIDED_95 * deviation),
         "changed": share(c.flags & Flag.TISSUE_CHANGED for c in pressed),
         "mismatch": share(c.flags & Flag.MODEL_MISMATCH for c in pressed),
-        "told live": share(outcome.live & told for outcome in outcomes),
+        "told live": share(outcome.live & ALARMS for outcome in outcomes),
         "converged": share(c.converged for c in pressed),
         "unflagged": share(c.claims for c in pressed),
         "no estimate": share(c.estimate is None for c in pressed),

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS, Position, Synchronizer
-from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import START_NS, Recording
 
 #: Presses are apart by at least this [s]; contact lost for a shorter time is the same press.
@@ -35,15 +33,7 @@ def elapsed(stamp_ns: int) -> float:
 def fed(
     pipeline: Pipeline, times: Array, forces: Array, displacements: Array, *, placed: bool = False
 ) -> Iterator[float]:
-    """Feed samples of one clock, and give the time after each [s].
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-    times, forces, displacements : ndarray, shape (n,)
-    placed : bool
-        All presses are of one place, which is told.
-    """
+    """Feed samples of one clock, shape (n,), `placed` at one place, and give each time [s]."""
     for time, force, depth in zip(
         *(a.tolist() for a in (times, forces, displacements)), strict=True
     ):
@@ -68,14 +58,7 @@ def samples_of(recording: Recording) -> Iterator[tuple[bool, int, float, Positio
         yield False, *sample
 
 
-def feed(pipeline: Pipeline, recording: Recording, *, to_the_end: bool = True) -> None:
-    """Feed a simulated recording, and finish unless more comes of it."""
-    feed_samples(pipeline, recording)
-    if to_the_end:
-        pipeline.finish()
-
-
-def feed_samples(sink: Pipeline | Synchronizer, recording: Recording) -> None:
+def feed(sink: Pipeline | Synchronizer, recording: Recording) -> None:
     """Feed all samples of a simulated recording by stamp."""
     for is_force, stamp_ns, value, place in samples_of(recording):
         if is_force:
@@ -84,18 +67,12 @@ def feed_samples(sink: Pipeline | Synchronizer, recording: Recording) -> None:
             sink.add_displacement(stamp_ns, value, place)
 
 
-def identified(
-    recording: Recording, parameters: Mapping[str, Any]
-) -> tuple[Pipeline, list[Output]]:
-    """Return the pipeline that has taken a recording, and all that it put out."""
-    return through(recording, pipeline_config(check(parameters)))
-
-
 def through(recording: Recording, config: PipelineConfig) -> tuple[Pipeline, list[Output]]:
-    """Return the same with a configuration."""
+    """Return the pipeline that has taken a recording, and all that it put out."""
     outputs: list[Output] = []
     pipeline = Pipeline(config, outputs.append)
     feed(pipeline, recording)
+    pipeline.finish()
     return pipeline, outputs
 
 
@@ -124,23 +101,16 @@ def presses_of(recording: Recording) -> list[tuple[float, float]]:
 
 
 def outcome_of(
-    recording: Recording, parameters: Mapping[str, Any], held: float = math.nan
+    recording: Recording, pipeline: Pipeline, outputs: Sequence[Output], held: float = math.nan
 ) -> Outcome:
-    """Identify a recording with these parameters, and judge what is said.
+    """Judge what a pipeline has said of a recording.
 
     Parameters
     ----------
-    recording, parameters
+    recording, pipeline, outputs
     held : float
         From the first touch to the end of its hold [s].
     """
-    return outcome_from(recording, *identified(recording, parameters), held)
-
-
-def outcome_from(
-    recording: Recording, pipeline: Pipeline, outputs: Sequence[Output], held: float = math.nan
-) -> Outcome:
-    """Judge what a pipeline has said of a recording."""
     truth, presses = truth_of(recording), presses_of(recording)
     states = [output for output in outputs if isinstance(output, TissueState)]
     live = Flag.NONE

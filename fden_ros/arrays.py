@@ -19,7 +19,7 @@ from fden_ros.core.outputs import ContactSummary, Flag
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay_source
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.recording.source import ArraySource
+from fden_ros.recording.source import RowSource
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -218,7 +218,9 @@ def fit(
     stamps = np.rint(_NS * times).astype(np.int64)
     # 0 stands for "no stamp".
     shift = int(_NS) - int(stamps[0]) if stamps[0] <= 0 else 0
-    found = replay_source(ArraySource(stamps + shift, forces, displacements, checked))
+    inputs = {name: f"array {name}" for name in ("force", "displacement")}
+    columns = stamps + shift, forces, displacements
+    found = replay_source(RowSource(columns, checked, inputs))
     geometry_used = pipeline_config(checked).geometry
     contacts = []
     for one in found.summaries:

@@ -42,9 +42,8 @@ _SPIN_TIMEOUT = 0.02
 class TissueFeed(LiveTissue):
     """The latest estimate with its age; refuses what cannot be relied on.
 
-    :meth:`reading`, :meth:`refusal`, :meth:`stiffness` and :meth:`measured` are those of
-    :class:`LiveTissue`. Who calls one learns of a frozen, killed or unreachable identifier no
-    later than the deadline, even if no callback could run; DDS reports it by a liveliness lease.
+    Who calls a method learns of a frozen, killed or unreachable identifier no later than the
+    deadline, even if no callback could run; DDS reports it by a liveliness lease.
 
     Parameters
     ----------
@@ -86,10 +85,7 @@ class TissueFeed(LiveTissue):
         on_state: Callable[[TissueState], None] | None = None,
     ) -> None:
         if not deadline >= OFFERED_DEADLINE:
-            raise InputError(
-                f"deadline is {deadline} s; the identifier promises an estimate every "
-                f"{OFFERED_DEADLINE} s, so it must be at least that"
-            )
+            raise InputError(f"deadline is {deadline} s; give at least {OFFERED_DEADLINE} s")
         stated = check({})
         if parameters is not None:
             stated = read_parameter_file(parameters, identifier)
@@ -136,14 +132,7 @@ class TissueFeed(LiveTissue):
                 thread.join()
 
     def predict_force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction | None:
-        """Return the force of a planned motion, or None if that cannot be known.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Seconds from the latest estimate, increasing.
-        displacements : array_like, shape (n,)
-            Distance further into the tissue by then [m], linear in between.
+        """Return the force of a plan as :meth:`Predictor.force` does; None: it cannot be known.
 
         Raises
         ------

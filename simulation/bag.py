@@ -17,8 +17,7 @@ from std_msgs.msg import String
 from fden_ros.errors import InputError
 from fden_ros.recording.message_types import message_class
 from fden_ros.recording.qos import LATCHED, RELIABLE
-from fden_ros.recording.reader import BagReader
-from fden_ros.recording.truth import TRUTH_TOPIC, TRUTH_TYPE
+from fden_ros.recording.reader import TRUTH_TOPIC, TRUTH_TYPE, BagReader
 from fden_ros.recording.writer import BagWriter
 from simulation.simulate import Recording, Stream
 
@@ -42,25 +41,11 @@ _DISPLACEMENT = {
 def write_recording(
     recording: Recording, folder: str | Path, *, overwrite: bool = False
 ) -> BagReader:
-    """Write a simulated recording as a rosbag2 folder.
+    """Write a simulated recording as a rosbag2 folder, and return a reader of it.
 
     The truth is the first message, JSON in a latched ``std_msgs/String`` on `TRUTH_TOPIC`; a
-    parameter file for the identifier, ``identifier.yaml``, lies beside the bag's own files. Times
-    of recording equal the header stamps.
-
-    Parameters
-    ----------
-    recording
-        What `simulation.simulate.simulate` returns.
-    folder
-        The bag to make.
-    overwrite
-        Replace a bag that is there.
-
-    Returns
-    -------
-    BagReader
-        A reader of the new bag.
+    parameter file for the identifier, ``identifier.yaml``, lies in the folder. Times of recording
+    equal the header stamps.
 
     Raises
     ------

@@ -165,24 +165,10 @@ def pieces_of(move: Move, model: FdenModel) -> Iterator[Piece]:
 
 
 def stress_of_moves(moves: Sequence[Move], times: ArrayLike, model: FdenModel) -> FloatArray:
-    """Return the stress that a motion from rest has caused by `times`.
+    """Return the stress [Pa] that a motion from rest has caused by `times` [s], of their shape.
 
-    Only the motion counts: a first move that starts away from strain 0 is taken as the strain at
-    rest.
-
-    Parameters
-    ----------
-    moves
-        Consecutive moves; the strain is continuous from one to the next and rests after the last.
-    times
-        Times in s, any shape, in any order.
-    model
-        The tissue.
-
-    Returns
-    -------
-    ndarray
-        Stress in Pa, shape of `times`; 0 before the first move.
+    The strain of consecutive `moves` is continuous, and rests after the last. Only the motion
+    counts: a first move that starts away from strain 0 is taken as the strain at rest.
     """
     instants = np.asarray(times, dtype=float)
     flat = instants.ravel()
@@ -200,23 +186,10 @@ def stress_of_moves(moves: Sequence[Move], times: ArrayLike, model: FdenModel) -
 def stress_of_piecewise_linear_strain(
     knot_times: ArrayLike, knot_strains: ArrayLike, times: ArrayLike, model: FdenModel
 ) -> FloatArray:
-    """Return the exact stress under a strain that is piecewise linear in time, from rest.
+    """Return the exact stress [Pa] at `times` [s] under a piecewise linear strain, from rest.
 
-    Parameters
-    ----------
-    knot_times
-        Strictly increasing times of the knots in s, shape (n,).
-    knot_strains
-        Strain at the knots, shape (n,); the first is 0. After the last knot the strain is held.
-    times
-        Times in s at which the stress is wanted, any shape.
-    model
-        The tissue.
-
-    Returns
-    -------
-    ndarray
-        Stress in Pa, shape of `times`; 0 before the first knot.
+    Knots have increasing times [s] and strains, shape (n,), the first 0; after the last the strain
+    is held.
 
     Raises
     ------

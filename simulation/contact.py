@@ -84,18 +84,10 @@ class Memory:
 
 @dataclass(frozen=True)
 class Stiffening:
-    """Another tissue from where on the probe is so deep.
+    """Another tissue from where on the probe is so deep."""
 
-    Attributes
-    ----------
-    strain
-        Where it begins.
-    ratio
-        How many times G is what it was before, at least 1.
-    """
-
-    strain: float
-    ratio: float
+    strain: float  #: Where it begins
+    ratio: float  #: How many times G is what it was before, at least 1
 
     def __post_init__(self) -> None:
         if not (self.strain > 0.0 and self.ratio >= 1.0):
@@ -119,25 +111,14 @@ class Stiffening:
 
 @dataclass(frozen=True)
 class Contact:
-    """One stretch of time in which the probe presses.
+    """One stretch of time in which the probe presses."""
 
-    Attributes
-    ----------
-    start, stop
-        Times of touch and release in s.
-    moves
-        The probe's motion in between.
-    memory
-        The stress of the contacts before this one.
-    stiffening
-        What is met below the surface, if anything.
-    """
-
+    #: Times of touch and release in s
     start: float
     stop: float
-    moves: tuple[Move, ...]
-    memory: Memory
-    stiffening: Stiffening | None = None
+    moves: tuple[Move, ...]  #: The probe's motion in between
+    memory: Memory  #: The stress of the contacts before this one
+    stiffening: Stiffening | None = None  #: What is met below the surface, if anything
 
     def stress(self, times: FloatArray, model: FdenModel) -> FloatArray:
         """Return the stress in Pa at `times` within the contact."""
@@ -177,16 +158,10 @@ class ContactHistory:
 def contacts_of_moves(
     moves: Sequence[Move], model: FdenModel, stiffening: Stiffening | None = None
 ) -> ContactHistory:
-    """Follow a probe over fresh tissue and return the contacts it makes.
+    """Follow a probe over fresh tissue at rest and return the contacts it makes.
 
-    Parameters
-    ----------
-    moves
-        Consecutive moves of the probe; its strain is negative above the undisturbed surface.
-    model
-        The tissue, at rest at the beginning.
-    stiffening
-        What the probe meets on the way down; every contact is taken to begin above it.
+    The strain of consecutive `moves` is negative above the undisturbed surface; every contact is
+    taken to begin above the `stiffening`.
     """
     contacts: list[Contact] = []
     memory = Memory()

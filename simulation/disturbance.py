@@ -33,20 +33,11 @@ _VARIATION_PERIOD = 20.0
 
 @dataclass(frozen=True)
 class SurfaceMotion:
-    """A sine of the tissue's surface, towards the probe and back.
+    """A sine of the tissue's surface, towards the probe and back."""
 
-    Attributes
-    ----------
-    peak_to_peak_m
-        Whole travel.
-    rate_hz
-        Mean rate.
-    rate_variation
-        Amplitude, relative to the mean, of a slow sine of the rate (period 20 s), below 1.
-    """
-
-    peak_to_peak_m: float = 0.0
-    rate_hz: float = 0.25
+    peak_to_peak_m: float = 0.0  #: Whole travel
+    rate_hz: float = 0.25  #: Mean rate
+    #: Amplitude, relative to the mean, of a slow sine of the rate (period 20 s), below 1
     rate_variation: float = 0.0
 
     def __post_init__(self) -> None:
@@ -89,52 +80,37 @@ class Phases:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """All that disturbs a rig; the defaults are a rig that nothing disturbs.
+    """All that disturbs a rig; the defaults are a rig that nothing disturbs."""
 
-    Attributes
-    ----------
-    breathing, heartbeat
-        Motion of the tissue's surface along the approach axis; 0.25 and 1.2 Hz by default.
-    compliance_m_per_n
-        How much the tool gives way per force, between the place that is reported and the tip.
-    backlash_m
-        Play of the drive: so far the reported place moves on a reversal before the tip follows.
-    plastic_set_m
-        How much lower the surface at rest lies after each press.
-    friction_n
-        Force against the motion on the tool in contact, that the sensor sees; none at rest.
-    creep_n, creep_s
-        In contact the force reading creeps towards this error, in the air back to 0, with this
-        time constant.
-    thermal_n, thermal_s
-        Error of the force at the beginning, and the time constant with which it settles.
-    hum_n, hum_hz
-        Amplitude and frequency of the mains in the force.
-    vibration_n, vibration_hz, vibration_at_rest
-        Amplitude and frequency of the robot's vibration in the force, while the axis moves or
-        always.
-    filter_hz
-        Corner frequency of a low-pass filter of first order on the force, noise included; 0: none.
-    force_step_n, displacement_step_m
-        Steps of the readings (quantisation); 0: none.
-    """
-
+    #: Motion of the tissue's surface along the approach axis; 0.25 and 1.2 Hz by default
     breathing: SurfaceMotion = field(default_factory=SurfaceMotion)
     heartbeat: SurfaceMotion = field(default_factory=_heartbeat)
+    #: How much the tool gives way per force, between the place that is reported and the tip
     compliance_m_per_n: float = 0.0
+    #: Play of the drive: so far the reported place moves on a reversal before the tip follows
     backlash_m: float = 0.0
-    plastic_set_m: float = 0.0
+    plastic_set_m: float = 0.0  #: How much lower the surface at rest lies after each press
+    #: Force against the motion on the tool in contact, that the sensor sees; none at rest
     friction_n: float = 0.0
+    #: In contact the force reading creeps towards this error, in the air back to 0, with this
+    #: time constant
     creep_n: float = 0.0
     creep_s: float = 2.0
+    #: Error of the force at the beginning, and the time constant with which it settles
     thermal_n: float = 0.0
     thermal_s: float = 20.0
+    #: Amplitude and frequency of the mains in the force
     hum_n: float = 0.0
     hum_hz: float = 50.0
+    #: Amplitude and frequency of the robot's vibration in the force, while the axis moves or
+    #: always
     vibration_n: float = 0.0
     vibration_hz: float = 12.0
     vibration_at_rest: bool = False
+    #: Corner frequency of a low-pass filter of first order on the force, noise included; 0:
+    #: none
     filter_hz: float = 0.0
+    #: Steps of the readings (quantisation); 0: none
     force_step_n: float = 0.0
     displacement_step_m: float = 0.0
 
@@ -185,20 +161,11 @@ class Disturbances:
         contacts: Sequence[tuple[float, float]],
         phases: Phases,
     ) -> FloatArray:
-        """Return the disturbed, filtered and quantised reading of a force, in N, shape (n,).
+        """Return the disturbed, filtered and quantised reading of a force [N], shape (n,).
 
-        Parameters
-        ----------
-        times
-            In s, shape (n,).
-        force, sensor_error
-            The true force, and the sensor's own noise, bias and drift, in N, shape (n,).
-        velocity
-            Of the axis into the tissue in m/s, shape (n,).
-        contacts
-            Touch and release of each contact in s.
-        phases
-            Of hum and vibration.
+        `sensor_error` [N] is the sensor's own noise, bias and drift, `velocity` [m/s] that of the
+        axis into the tissue, both of shape (n,) at `times` [s]; `contacts` have touch and release
+        [s].
         """
         moving = np.abs(velocity) > REST_SPEED
         touching = np.zeros(times.shape, dtype=bool)

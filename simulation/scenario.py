@@ -84,23 +84,12 @@ TISSUES: dict[str, dict[str, Distribution]] = {
 
 @dataclass(frozen=True)
 class Tissue:
-    """The tissue of one site: three parameters, or a random draw that single parameters override.
+    """The tissue of one site: parameters, or a random draw that single parameters override."""
 
-    Attributes
-    ----------
-    linear_stiffness
-        G in Pa·s^alpha.
-    nonlinear_stiffness
-        Gn.
-    fractional_order
-        alpha.
-    draw
-        Name of the tissue whose distribution gives what is not given: ``liver`` (Table II).
-    """
-
-    linear_stiffness: float | None = None
-    nonlinear_stiffness: float | None = None
-    fractional_order: float | None = None
+    linear_stiffness: float | None = None  #: G in Pa·s^alpha
+    nonlinear_stiffness: float | None = None  #: Gn
+    fractional_order: float | None = None  #: alpha
+    #: Name of the tissue whose distribution gives what is not given: ``liver`` (Table II)
     draw: str | None = None
 
     def __post_init__(self) -> None:
@@ -121,29 +110,20 @@ class Tissue:
 
 @dataclass(frozen=True)
 class Geometry:
-    """How force and displacement follow from stress and strain.
+    """How force and displacement follow from stress and strain."""
 
-    Attributes
-    ----------
-    kind
-        ``flat_punch``: force = stress · area, depth = strain · thickness. ``sphere``: force =
-        stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is linear;
-        with a thickness it presses an incompressible layer, :mod:`simulation.elastic_layer`.
-        ``pass_through``: the force stream carries the stress in Pa, the displacement stream the
-        strain.
-    area_m2, radius_m
-        Face of the punch, one of the two; radius of the sphere.
-    thickness_m
-        Thickness of the tissue under a flat punch, or a sphere; None: a half-space.
-    bonded
-        The base holds the layer under a sphere; else it slips.
-    """
-
+    #: ``flat_punch``: force = stress · area, depth = strain · thickness. ``sphere``: force =
+    #: stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is
+    #: linear; with a thickness it presses an incompressible layer,
+    #: :mod:`simulation.elastic_layer`. ``pass_through``: the force stream carries the stress
+    #: in Pa, the displacement stream the strain
     kind: str = "flat_punch"
+    #: Face of the punch, one of the two; radius of the sphere
     area_m2: float | None = None
     radius_m: float | None = None
+    #: Thickness of the tissue under a flat punch, or a sphere; None: a half-space
     thickness_m: float | None = None
-    bonded: bool = True
+    bonded: bool = True  #: The base holds the layer under a sphere; else it slips
 
     def __post_init__(self) -> None:
         require_choice("geometry: kind", self.kind, ("flat_punch", "sphere", "pass_through"))
@@ -163,24 +143,33 @@ class Geometry:
             raise InputError(f"geometry: {self.kind} needs {right}, not {_listed(sorted(given))}")
 
     @property
-    def face_area_m2(self) -> float:
-        """Area of the flat punch in m²."""
-        return math.pi * (self.radius_m or 0.0) ** 2 if self.area_m2 is None else self.area_m2
-
-    @property
     def force_per_stress(self) -> float:
         """Force over stress in m²; 1 for pass-through."""
         if self.kind == "pass_through":
             return 1.0
         if self.kind == "sphere":
             return 4.0 / 3.0 * (self.radius_m or 0.0) ** 2
-        return self.face_area_m2
+        return math.pi * (self.radius_m or 0.0) ** 2 if self.area_m2 is None else self.area_m2
 
     @property
     def length_m(self) -> float:
         """Height above the surface that counts as strain -1, in m."""
         lengths = {"flat_punch": self.thickness_m, "sphere": self.radius_m, "pass_through": 1.0}
         return lengths[self.kind] or 1.0
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of the identifier that state it."""
+        stated: dict[str, Any] = {"geometry.kind": self.kind}
+        if self.kind == "flat_punch":
+            stated |= {"geometry.area": self.force_per_stress, "geometry.thickness": self.length_m}
+        elif self.kind == "sphere":
+            stated |= {
+                "geometry.radius": self.length_m,
+                "geometry.thickness": self.thickness_m or 0.0,
+                "geometry.bonded": self.bonded,
+            }
+        return stated
 
     @functools.cached_property
     def _layer(self) -> tuple[FloatArray, FloatArray]:
@@ -211,19 +200,12 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Preload:
-    """The recording begins in contact: the probe has rested on the first site already.
+    """The recording begins in contact: the probe has rested on the first site already."""
 
-    Attributes
-    ----------
-    depth_m
-        Where it rests; 0: it begins in the air. It goes no higher between the first site's
-        presses, and leaves the tissue after the last of them.
-    time_s
-        How long it has rested there when the recording begins.
-    """
-
+    #: Where it rests; 0: it begins in the air. It goes no higher between the first site's
+    #: presses, and leaves the tissue after the last of them
     depth_m: float = 0.0
-    time_s: float = 10.0
+    time_s: float = 10.0  #: How long it has rested there when the recording begins
 
     def __post_init__(self) -> None:
         require_not_negative(self, "depth_m", "time_s")
@@ -231,31 +213,21 @@ class Preload:
 
 @dataclass(frozen=True)
 class ForceSensor:
-    """What the force stream looks like.
+    """What the force stream looks like."""
 
-    Attributes
-    ----------
-    rate_hz
-        Sampling rate.
-    noise_stress_pa, noise_n
-        Standard deviation of white noise per sample, as a stress or as a force: one of the two, or
-        none.
-    jitter_s
-        Standard deviation of the sampling times around an even clock, cut off at 0.45 periods. The
-        stamps are true.
-    bias_n, drift_n_per_s
-        Constant and growing error of the force.
-    topic, message, axis, frame_id
-        Where and as what it is published: ``wrench`` (force along `axis`, which pressing makes
-        positive) or ``joint_state`` (effort).
-    """
-
-    rate_hz: float = 1000.0
+    rate_hz: float = 1000.0  #: Sampling rate
+    #: Standard deviation of white noise per sample, as a stress or as a force: one of the two,
+    #: or none
     noise_stress_pa: float | None = None
     noise_n: float | None = None
+    #: Standard deviation of the sampling times around an even clock, cut off at 0.45 periods.
+    #: The stamps are true
     jitter_s: float = 0.0
+    #: Constant and growing error of the force
     bias_n: float = 0.0
     drift_n_per_s: float = 0.0
+    #: Where and as what it is published: ``wrench`` (force along `axis`, which pressing makes
+    #: positive) or ``joint_state`` (effort)
     topic: str = "/force"
     message: str = "wrench"
     axis: Axis = (0.0, 0.0, 1.0)
@@ -272,32 +244,20 @@ class ForceSensor:
 
 @dataclass(frozen=True)
 class DisplacementSensor:
-    """The tip of the probe.
+    """The tip of the probe."""
 
-    Attributes
-    ----------
-    rate_hz, jitter_s
-        As for the force.
-    noise_m
-        Standard deviation of white noise per sample and coordinate.
-    delay_s
-        How much later than the truth the samples are stamped.
-    topic, message, axis, frame_id
-        Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform`` or
-        ``point`` (`axis` points into the tissue).
-    surface_m
-        What it reads at the undisturbed surface.
-    """
-
+    #: As for the force
     rate_hz: float = 1000.0
-    noise_m: float = 0.0
+    noise_m: float = 0.0  #: Standard deviation of white noise per sample and coordinate
     jitter_s: float = 0.0
-    delay_s: float = 0.0
+    delay_s: float = 0.0  #: How much later than the truth the samples are stamped
+    #: Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform``
+    #: or ``point`` (`axis` points into the tissue)
     topic: str = "/displacement"
     message: str = "joint_state"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tissue"
-    surface_m: float = 0.0
+    surface_m: float = 0.0  #: What it reads at the undisturbed surface
 
     def __post_init__(self) -> None:
         require_positive(self, "rate_hz")
@@ -308,17 +268,10 @@ class DisplacementSensor:
 
 @dataclass(frozen=True)
 class Dropout:
-    """A stretch of time in which a stream has no samples.
+    """A stretch of time in which a stream has no samples."""
 
-    Attributes
-    ----------
-    stream
-        ``force``, ``displacement`` or ``both``.
-    start_s, duration_s
-        On the stamps, from the beginning of the recording.
-    """
-
-    stream: str
+    stream: str  #: ``force``, ``displacement`` or ``both``
+    #: On the stamps, from the beginning of the recording
     start_s: float
     duration_s: float
 
@@ -330,22 +283,14 @@ class Dropout:
 
 @dataclass(frozen=True)
 class Slide:
-    """A path sideways in contact, during the sine of a press; the recording ends with it.
+    """A path sideways in contact, during the sine of a press; the recording ends with it."""
 
-    Attributes
-    ----------
-    to_m
-        Where it ends, across the approach axis; it begins at the site's position.
-    ratio
-        How many times stiffer the tissue is over the middle of the path; each place is taken to
-        have the same past.
-    edge_m
-        Length over which the stiffness passes from one to the other.
-    """
-
+    #: Where it ends, across the approach axis; it begins at the site's position
     to_m: tuple[float, float]
+    #: How many times stiffer the tissue is over the middle of the path; each place is taken to
+    #: have the same past
     ratio: float = 2.0
-    edge_m: float = 0.002
+    edge_m: float = 0.002  #: Length over which the stiffness passes from one to the other
 
     def __post_init__(self) -> None:
         require_positive(self, "ratio", "edge_m")
@@ -360,26 +305,14 @@ class Slide:
 
 @dataclass(frozen=True)
 class Site:
-    """One place on the tissue and what is done there.
+    """One place on the tissue and what is done there."""
 
-    Attributes
-    ----------
-    tissue
-        Its parameters.
-    presses
-        One or more presses, one after the other; the tissue remembers.
-    position_m
-        Where it lies, across the approach axis.
-    stiffening
-        A stiffer tissue that the probe meets below the surface, if any; for a single press.
-    slide
-        The path sideways in contact, if any; for a single sinusoid at the last site.
-    """
-
-    tissue: Tissue
-    presses: tuple[Press, ...]
-    position_m: tuple[float, float] = (0.0, 0.0)
+    tissue: Tissue  #: Its parameters
+    presses: tuple[Press, ...]  #: One or more presses, one after the other; the tissue remembers
+    position_m: tuple[float, float] = (0.0, 0.0)  #: Where it lies, across the approach axis
+    #: A stiffer tissue that the probe meets below the surface, if any; for a single press
     stiffening: Stiffening | None = None
+    #: The path sideways in contact, if any; for a single sinusoid at the last site
     slide: Slide | None = None
 
     def __post_init__(self) -> None:
@@ -440,18 +373,9 @@ def ramp_scenario(
     noise_stress_pa: float = 3.0,
     seed: int = 0,
 ) -> Scenario:
-    """Return a scenario of ramps, or of ramps and holds, without a file: for Monte-Carlo studies.
+    """Return ramps, or ramps and holds, of one site each, without a file.
 
-    Parameters
-    ----------
-    strain_rate, max_strain, hold_s
-        The press, in 1/s, 1 and s.
-    tissue
-        By default drawn from liver, with the fractional order 0.131.
-    sites
-        How many sites are touched, each once.
-    rate_hz, noise_stress_pa, seed
-        As in the scenario files.
+    Tissue is by default drawn from liver, with the fractional order 0.131.
     """
     press = RampHold(strain_rate, max_strain, hold_s) if hold_s else Ramp(strain_rate, max_strain)
     tissue = tissue or Tissue(draw="liver", fractional_order=0.131)
@@ -466,13 +390,7 @@ def ramp_scenario(
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Read a scenario.
-
-    Parameters
-    ----------
-    name_or_path
-        The name of a scenario that comes with the package (see :func:`scenario_names`), or the
-        path of a YAML file.
+    """Read a scenario by its name (see :func:`scenario_names`), or the path of a YAML file.
 
     Raises
     ------
@@ -579,40 +497,34 @@ def _convert(value: object, hint: Any, where: str) -> Any:
         return _convert_list(value, typing.get_args(hint), where)
     if hint is float:
         return _number(value, where)
-    if hint in _PLAIN:
-        # A bool is an int, too, and not meant by one.
-        if type(value) is hint:
-            return value
-        raise InputError(f"{where} is {_short(value)}; it must be {_PLAIN[hint]}")
-    return _build(hint, value, where.rpartition(": ")[2])
-
-
-_PLAIN: dict[type, str] = {bool: "true or false", int: "a whole number", str: "text"}
+    if hint not in (bool, int, str):
+        return _build(hint, value, where.rpartition(": ")[2])
+    # A bool is an int, too, and not meant by one.
+    if type(value) is hint:
+        return value
+    words = {bool: "true or false", int: "a whole number", str: "text"}[hint]
+    raise InputError(f"{where} is {_short(value)}; it must be {words}")
 
 
 def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
-    if not isinstance(value, list):
-        raise InputError(f"{where} is {_short(value)}; it must be a list")
-    if hints[-1] is Ellipsis:
-        return tuple(
-            _convert(item, hints[0], f"{where} {index}")
-            for index, item in enumerate(value, start=1)
-        )
-    if len(value) != len(hints):
-        raise InputError(f"{where} has {len(value)} values; it must have {len(hints)}")
-    return tuple(_convert(item, hint, where) for item, hint in zip(value, hints, strict=True))
+    count = len(hints)
+    if hints[-1] is Ellipsis and isinstance(value, list):
+        count, hints = len(value), hints[:1] * len(value)
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{where} is {_short(value)}; it must be a list of {count}")
+    names = [f"{where} {index}" for index in range(1, count + 1)]
+    return tuple(map(_convert, value, hints, names))
 
 
-def _number(value: object, where: str) -> float:
-    # YAML 1.1 reads 1e-3 (no dot) as text, which nobody means.
-    if isinstance(value, int | float | str) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if math.isfinite(number):
-            return number
-    raise InputError(f"{where} is {_short(value)}; it must be a finite number")
+def _number(value: Any, where: str) -> float:
+    try:
+        # YAML 1.1 reads 1e-3 (no dot) as text, which nobody means.
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{where} is {_short(value)}; it must be a finite number")
+    return number
 
 
 def _press(value: object, where: str) -> Press:

@@ -45,25 +45,16 @@ _TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS = range(4)
 
 @dataclass(frozen=True)
 class Stream:
-    """The samples of one sensor, in the order of their stamps.
+    """The samples of one sensor, in the order of their stamps."""
 
-    Attributes
-    ----------
-    stamp_ns
-        Header stamps in ns, shape (n,), strictly increasing.
-    value
-        Force in N, positive when pressing, or displacement in m along the axis into the tissue,
-        shape (n,).
-    position
-        Tip of the probe in m, shape (n, 3), with ``position @ axis == value``; None where the
-        message has no room for it.
-    topic, message, axis, frame_id
-        As in the scenario's sensor.
-    """
-
-    stamp_ns: StampArray
+    stamp_ns: StampArray  #: Header stamps in ns, shape (n,), strictly increasing
+    #: Force in N, positive when pressing, or displacement in m along the axis into the tissue,
+    #: shape (n,)
     value: FloatArray
+    #: Tip of the probe in m, shape (n, 3), with ``position @ axis == value``; None where the
+    #: message has no room for it
     position: FloatArray | None
+    #: As in the scenario's sensor
     topic: str
     message: str
     axis: tuple[float, float, float]
@@ -84,10 +75,6 @@ class Recording:
         return (self.force, self.displacement)
 
 
-def _ratio(site: Site) -> float:
-    return site.stiffening.ratio if site.stiffening is not None else 1.0
-
-
 @dataclass(frozen=True)
 class _Visit:
     """One site: when it was met, the moves there (times since `start`) and the contacts."""
@@ -100,15 +87,7 @@ class _Visit:
 
 
 def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
-    """Simulate a scenario; the same scenario and seed give the same bytes.
-
-    Parameters
-    ----------
-    scenario
-        What is pressed and how.
-    seed
-        Instead of the scenario's own.
-    """
+    """Simulate a scenario; the same scenario and seed, by default its own, give the same bytes."""
     seed = scenario.seed if seed is None else seed
     phases = Phases.draw(_generator(seed, _PHASE_DRAWS))
     visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS), phases)
@@ -138,22 +117,9 @@ KNOWN_RIG = {name: value for name, value in EXACT.items() if name != "model_disc
 
 def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> dict[str, Any]:
     """Return the identifier's parameters that fit a scenario, by their dotted names."""
-    geometry, force, displacement = scenario.geometry, scenario.force, scenario.displacement
-    dimensions = {
-        "flat_punch": {
-            "geometry.area": geometry.force_per_stress,
-            "geometry.thickness": geometry.length_m,
-        },
-        "sphere": {
-            "geometry.radius": geometry.length_m,
-            "geometry.thickness": geometry.thickness_m or 0.0,
-            "geometry.bonded": geometry.bonded,
-        },
-        "pass_through": {},
-    }
+    force, displacement = scenario.force, scenario.displacement
     parameters: dict[str, Any] = {
-        "geometry.kind": geometry.kind,
-        **dimensions[geometry.kind],
+        **scenario.geometry.parameters,
         "force.message": force.message,
         "force.axis": list(force.axis),
         "displacement.message": displacement.message,
@@ -180,7 +146,6 @@ def _visits(scenario: Scenario, generator: np.random.Generator, phases: Phases) 
     visits: list[_Visit] = []
     start = 0.0
     for index, site in enumerate(scenario.sites):
-        is_last = index == len(scenario.sites) - 1
         approach = scenario.approach
         path = _path_over(
             site,
@@ -188,38 +153,24 @@ def _visits(scenario: Scenario, generator: np.random.Generator, phases: Phases) 
             approach,
             scenario.preload if index == 0 else Preload(),
             approach.site_pause_s if visits else approach.start_pause_s,
-            END_PAUSE_S if is_last else 0.0,
         )
+        if index == len(scenario.sites) - 1 and site.slide is None:
+            path.rest(END_PAUSE_S)
         model = site.tissue.model(generator)
-        contacts = _contacts(scenario, site, path.moves, model, start, phases)
+        contacts: ContactHistory | SteppedHistory
+        if scenario.disturbances.moves_tissue:
+            contacts = stepped_contacts_of_moves(
+                path.moves, model, scenario.geometry, scenario.disturbances, phases, start
+            )
+        else:
+            contacts = contacts_of_moves(path.moves, model, site.stiffening)
         visits.append(_Visit(site, start, start + path.time, tuple(path.moves), contacts))
         start += path.time
     return visits
 
 
-def _contacts(
-    scenario: Scenario,
-    site: Site,
-    moves: Sequence[Move],
-    model: FdenModel,
-    start: float,
-    phases: Phases,
-) -> ContactHistory | SteppedHistory:
-    """Return the contacts of planned moves whose times count from `start`."""
-    if not scenario.disturbances.moves_tissue:
-        return contacts_of_moves(moves, model, site.stiffening)
-    return stepped_contacts_of_moves(
-        moves, model, scenario.geometry, scenario.disturbances, phases, start
-    )
-
-
 def _path_over(
-    site: Site,
-    geometry: Geometry,
-    approach: Approach,
-    preload: Preload,
-    pause_s: float,
-    end_pause_s: float,
+    site: Site, geometry: Geometry, approach: Approach, preload: Preload, pause_s: float
 ) -> Path:
     path = Path(-approach.distance_m / geometry.length_m, geometry.length_m)
     if preload.depth_m > 0.0:
@@ -239,7 +190,6 @@ def _path_over(
         del path.moves[1 + path.moves.index(_sine(path.moves)) :]
         path.time = path.moves[-1].stop
         return path
-    path.rest(end_pause_s)
     return path
 
 
@@ -262,7 +212,9 @@ def _force_stream(
         during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
         stress[during] = visit.contacts.stress(times[during] - visit.start)
         if visit.site.slide is not None:
-            gone = _gone_of_slide(visit, times[during])
+            sine = _sine(visit.moves)
+            since = times[during] - visit.start - sine.start
+            gone = np.clip(since / (sine.stop - sine.start), 0, 1)
             stress[during] *= visit.site.slide.stiffness_ratio(gone, visit.site.position_m)
         velocity[during] = _velocity(visit, times[during], scenario.geometry)
     noise = scenario.force_noise_n * generator.standard_normal(times.size)
@@ -277,13 +229,6 @@ def _force_stream(
     )
     kept = _kept(elapsed_ns, scenario.dropouts, "force")
     return _stream(sensor, elapsed_ns[kept], force[kept], None)
-
-
-def _gone_of_slide(visit: _Visit, times: FloatArray) -> FloatArray:
-    """Return how much of its path sideways is gone at `times`, (n,)."""
-    sine = _sine(visit.moves)
-    gone: FloatArray = np.clip((times - visit.start - sine.start) / (sine.stop - sine.start), 0, 1)
-    return gone
 
 
 def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArray:
@@ -317,15 +262,8 @@ def _stream(
     value: FloatArray,
     position: FloatArray | None,
 ) -> Stream:
-    return Stream(
-        START_NS + elapsed_ns,
-        value,
-        position,
-        sensor.topic,
-        sensor.message,
-        sensor.axis,
-        sensor.frame_id,
-    )
+    layout = sensor.topic, sensor.message, sensor.axis, sensor.frame_id
+    return Stream(START_NS + elapsed_ns, value, position, *layout)
 
 
 def _sampling(
@@ -396,25 +334,26 @@ def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, second if second.sum() >= 0.0 else -second
 
 
-def _listed(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+def _site_truth(number: int, visit: _Visit) -> dict[str, Any]:
+    model, site = visit.contacts.model, visit.site
+    truth = {
+        "site": number,
+        # At the end of the contact, which is what an estimate is held against.
+        "linear_stiffness": model.linear_stiffness
+        * (site.stiffening.ratio if site.stiffening else 1.0),
+        "nonlinear_stiffness": model.nonlinear_stiffness,
+        "fractional_order": model.fractional_order,
+        "position": list(site.position_m),
+    }
+    if site.stiffening is not None:
+        truth["stiffening"] = asdict(site.stiffening)
+    if site.slide is not None:
+        truth["slide"] = asdict(site.slide) | {"to_m": list(site.slide.to_m)}
+    return truth
 
 
 def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str, Any]:
     models = [visit.contacts.model for visit in visits]
-    sites = [
-        {
-            "site": number,
-            # At the end of the contact, which is what an estimate is held against.
-            "linear_stiffness": visit.contacts.model.linear_stiffness * _ratio(visit.site),
-            "nonlinear_stiffness": visit.contacts.model.nonlinear_stiffness,
-            "fractional_order": visit.contacts.model.fractional_order,
-            "position": list(visit.site.position_m),
-        }
-        | ({"stiffening": asdict(visit.site.stiffening)} if visit.site.stiffening else {})
-        | ({"slide": _listed(asdict(visit.site.slide))} if visit.site.slide else {})
-        for number, visit in enumerate(visits, start=1)
-    ]
     met = [
         (number, visit, contact)
         for number, visit in enumerate(visits, start=1)
@@ -438,7 +377,7 @@ def _truth(scenario: Scenario, seed: int, visits: Sequence[_Visit]) -> dict[str,
         "surface_displacement_m": scenario.displacement.surface_m,
         "force_noise_n": scenario.force_noise_n,
         "displacement_delay_s": scenario.displacement.delay_s,
-        "sites": sites,
+        "sites": [_site_truth(number, visit) for number, visit in enumerate(visits, start=1)],
         "contacts": contacts,
     }
     if scenario.disturbances != Disturbances():

@@ -51,20 +51,12 @@ class SteppedContact:
 
 @dataclass(frozen=True)
 class SteppedHistory:
-    """The contacts of a disturbed motion with one site of the tissue, in the order of time.
+    """The contacts of a disturbed motion with one site of the tissue, in the order of time."""
 
-    Attributes
-    ----------
-    contacts
-        What :class:`~simulation.contact.ContactHistory` has, too.
-    model
-        The tissue.
-    times, strains, stresses
-        Of every step, in s, 1 and Pa, shape (n,); the stress is 0 out of contact.
-    """
-
+    #: What :class:`~simulation.contact.ContactHistory` has, too
     contacts: tuple[SteppedContact, ...]
-    model: FdenModel
+    model: FdenModel  #: The tissue
+    #: Of every step, in s, 1 and Pa, shape (n,); the stress is 0 out of contact
     times: FloatArray
     strains: FloatArray
     stresses: FloatArray
@@ -88,24 +80,11 @@ def stepped_contacts(
     step: float = STEP_S,
     clock: float = 0.0,
 ) -> SteppedHistory:
-    """Follow a disturbed probe over fresh tissue and return the contacts it makes.
+    """Follow a disturbed probe over fresh tissue at rest and return the contacts it makes.
 
-    Parameters
-    ----------
-    depths
-        What the axis reports after each step [m], negative above the surface at rest, (n,).
-    model
-        The tissue, at rest at the beginning.
-    geometry
-        From strain to depth and from stress to force.
-    disturbances
-        Of the motion; others are not looked at.
-    phases
-        Of the surface's motion.
-    start, step
-        Time of the first depth, and from one to the next, in s.
-    clock
-        Time of the surface's motion at time 0, in s.
+    `depths` [m] are what the axis reports from `start` [s] on after each `step` [s], negative
+    above the surface at rest, shape (n,). The surface's motion is at `clock` [s] at time 0. Of the
+    disturbances only those of the motion count.
     """
     times: FloatArray = start + step * np.arange(depths.size, dtype=np.float64)
     surface = disturbances.surface(times + clock, phases)

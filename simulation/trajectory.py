@@ -88,32 +88,18 @@ class Path:
 
 @dataclass(frozen=True)
 class Approach:
-    """How the probe moves in the air; the same for every site.
+    """How the probe moves in the air; the same for every site."""
 
-    Attributes
-    ----------
-    distance_m
-        Height above the surface where the probe waits.
-    speed_m_per_s
-        Speed down to `slow_distance_m` above the surface, from where the probe moves at the rate
-        of its press: a robot does not know where the surface is, so nothing may change at the
-        touch.
-    slow_distance_m
-        See there.
-    retract_speed_m_per_s
-        Speed away from the tissue, unless the press says otherwise.
-    start_pause_s
-        Time in the air before the first approach, for the tare.
-    site_pause_s
-        Time in the air between sites; the probe moves sideways in it.
-    """
-
-    distance_m: float = 0.01
+    distance_m: float = 0.01  #: Height above the surface where the probe waits
+    #: Speed down to `slow_distance_m` above the surface, from where the probe moves at the
+    #: rate of its press: a robot does not know where the surface is, so nothing may change at
+    #: the touch
     speed_m_per_s: float = 0.02
-    slow_distance_m: float = 0.001
+    slow_distance_m: float = 0.001  #: See there
+    #: Speed away from the tissue, unless the press says otherwise
     retract_speed_m_per_s: float = 0.02
-    start_pause_s: float = 2.0
-    site_pause_s: float = 3.0
+    start_pause_s: float = 2.0  #: Time in the air before the first approach, for the tare
+    site_pause_s: float = 3.0  #: Time in the air between sites; the probe moves sideways in it
 
     def __post_init__(self) -> None:
         require_positive(
@@ -221,29 +207,19 @@ class Staircase(Trajectory):
 
 @dataclass(frozen=True)
 class Palpation(Trajectory):
-    """Repeated presses of one place: ramp, hold, out of contact, pause, and again.
-
-    Attributes
-    ----------
-    max_strain, hold_s
-        As in :class:`RampHold`.
-    presses
-        How often.
-    lift_m
-        Height above the undisturbed surface to which the probe goes between two presses.
-    pause_s
-        Time it stays there.
-    """
+    """Repeated presses of one place: ramp, hold, out of contact, pause, and again."""
 
     kind: ClassVar[str] = "palpation"
     may_be_zero: ClassVar[tuple[str, ...]] = ("hold_s", "pause_s")
     strain_rate: float
+    #: As in :class:`RampHold`
     max_strain: float
     hold_s: float = 0.5
     retract_rate: float | None = None
-    presses: int = 10
+    presses: int = 10  #: How often
+    #: Height above the undisturbed surface to which the probe goes between two presses
     lift_m: float = 0.002
-    pause_s: float = 0.5
+    pause_s: float = 0.5  #: Time it stays there
 
     def go(self, path: Path, approach: Approach) -> None:
         """Append all presses."""

@@ -29,8 +29,8 @@ property_helpers.load_profile()
 _domain = contextlib.ExitStack()
 #: Files that take longest are begun first: at the end no process waits long for another.
 LONGEST = (
-    *("documentation", "live", "benchmark", "configure", "faults", "parameters"),
-    *("core_rig", "core_known", "core_continuous", "cluster", "faults_node", "node_start"),
+    *("documentation", "live", "benchmark", "identifier", "configure", "faults", "parameters"),
+    *("stiffness_alone", "core_rig", "core_continuous", "cluster", "faults_node", "node_start"),
     *("first_hour", "packaging", "commands", "commands_replay", "core_posterior", "core_mixture"),
 )
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from benchmark.score import Judged, judged
-from benchmark.trial import fed, truth_of
+from benchmark.trial import fed, samples_of, truth_of
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
@@ -47,23 +47,10 @@ class Item(NamedTuple):
 
 def items_of(recording: Recording) -> list[Item]:
     """Return both streams of a recording in the order of their stamps, displacement first."""
-    force, displacement = recording.force, recording.displacement
-    positions: Iterable[Any] = (
-        map(tuple, displacement.position.tolist())
-        if displacement.position is not None
-        else [None] * displacement.value.size
-    )
-    streams = [
-        Item(DISPLACEMENT, *sample)
-        for sample in zip(
-            displacement.stamp_ns.tolist(), displacement.value.tolist(), positions, strict=True
-        )
+    return [
+        Item(FORCE if is_force else DISPLACEMENT, *sample)
+        for is_force, *sample in samples_of(recording)
     ]
-    streams += [
-        Item(FORCE, *sample)
-        for sample in zip(force.stamp_ns.tolist(), force.value.tolist(), strict=True)
-    ]
-    return sorted(streams, key=lambda item: item.stamp_ns)
 
 
 def feed(pipeline: Pipeline, items: Iterable[Item]) -> None:

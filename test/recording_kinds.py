@@ -103,7 +103,6 @@ def since(per_second: int, heading: str) -> str:
 #: Text of each kind of table that says by itself what is what.
 STATED = {
     "headings": NEWTONS + PLAIN,
-    "headings with low lines": "time_s,force_N,depth_mm\n" + PLAIN,
     "Zwick": "Prüfzeit [s];Standardkraft [N];Standardweg [mm]\n" + GERMAN,
     "German units in words": "Nr;Prüfzeit in s;Standardkraft in N;Verformung in mm\n"
     + comma("".join(f"1;{t};{f};{1e3 * d}\n" for t, f, d in ROWS)),
@@ -180,6 +179,9 @@ TABLES: dict[str, Table] = {
     ),
     "cells that say they are empty": Table(
         NEWTONS + PLAIN + "0.3,NaN,--\n", warned="1 of 5 rows"
+    ),
+    "commanded alone": Table(
+        "time_s,force_N,depth_desired_mm\n" + PLAIN, warned="is commanded by its heading"
     ),
     # Columns that are given, below any preamble
     "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),
@@ -513,8 +515,8 @@ def bag_of(kind: str, folder: Path, messages: Messages) -> Path:
 
 #: Header stamps of the force by time of recording, and what is said of them.
 STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
-    "zero": (lambda time_ns: 0, "all header stamps of /force are 0"),
-    "still": (lambda time_ns: START, "all header stamps of /force are the same"),
+    "zero": (lambda time_ns: 0, "120 of the first 120 header stamps of /force are 0"),
+    "still": (lambda time_ns: START, "only 1 of the first 120 header stamps of /force differ"),
     "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
     "late by less than a second": (
         lambda time_ns: time_ns - 400_000_000,

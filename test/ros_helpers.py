@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import signal
 import subprocess
 import threading
@@ -310,8 +309,6 @@ class Shared:
             stderr=subprocess.STDOUT,
             text=True,
             preexec_fn=end_with_parent,
-            # Where it hangs, SIGABRT shows its threads.
-            env={**os.environ, "PYTHONFAULTHANDLER": "1"},
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -343,8 +340,7 @@ class Shared:
         wanted = {**DEFAULTS, **values}
         changed = {n: v for n, v in wanted.items() if self._values.get(n, DEFAULTS[n]) != v}
         with Remote() as remote:
-            with self._last_words_on_failure():
-                _clean_up(remote)
+            _clean_up(remote)
             if changed:
                 messages = [Parameter(n, value=v).to_parameter_msg() for n, v in changed.items()]
                 request = SetParameters.Request(parameters=messages)
@@ -353,20 +349,6 @@ class Shared:
             self._values = wanted
             assert remote.change_state(Transition.TRANSITION_CONFIGURE)
             assert remote.change_state(Transition.TRANSITION_ACTIVATE)
-
-    @contextlib.contextmanager
-    def _last_words_on_failure(self) -> Iterator[None]:
-        """Where it does not answer, say whether it runs, where its threads are, and its log."""
-        try:
-            yield
-        except AssertionError as error:
-            code = self.poll()
-            if code is None:
-                self._process.send_signal(signal.SIGABRT)
-                self._process.wait(LIMIT)
-                self._reader.join(LIMIT)
-            state = "it runs" if code is None else f"it has ended with {code}"
-            raise AssertionError(f"{error}; {state}:\n{''.join(self._lines)}") from error
 
     def end(self) -> None:
         """Deactivate it and clean up."""

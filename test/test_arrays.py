@@ -74,13 +74,6 @@ def test_a_table_has_a_row_a_contact():
     assert table["converged"].all()
 
 
-def test_a_plot_is_drawn_on_the_axes_that_are_given():
-    figure = pytest.importorskip("matplotlib.figure").Figure()
-    axes = figure.subplots()
-    assert fitted().contacts[0].plot(axes) is axes
-    assert len(axes.lines) == 1
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

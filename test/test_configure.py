@@ -18,19 +18,17 @@ import numpy as np
 import pytest
 from command_helpers import answer, fden
 from fault_helpers import first_press
-from frame_helpers import Place, arm, place, write_bag
+from frame_helpers import arm, write_bag
 from property_helpers import first
 from scipy import signal
-from scipy.spatial.transform import Rotation
 from unknown_rig_bags import RigBag
 from unknown_rigs import SimulatedRig, judge, simulate_rig
 
-from fden_ros.configure.filtering import find_filter
 from fden_ros.configure.reading import read
 from fden_ros.configure.robots import robot_named, robot_names
+from fden_ros.configure.sampling import find_filter
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
-from fden_ros.configure.transforms import FrameTree
 from fden_ros.configure.units import NOT_STATED, STATED_SI, unit_of
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import live_topics, read_parameter_file
@@ -46,40 +44,22 @@ from simulation.simulate import simulate
 from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
 DATA = os.environ.get("FDEN_DATA")
+CONFIG = Path(__file__).parents[1] / "config"
 PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
-#: A dozen rigs of every kind; see `test_the_dozen_rigs_are_of_every_kind`.
+#: A dozen rigs of every kind.
 DOZEN: tuple[tuple[int, dict[str, Any]], ...] = (
-    (1008, {}),
-    (1009, {}),
+    *((seed, {}) for seed in (1008, 1009, 1028, 1031, 1058, 1062, 1064, 1075, 1086, 1089)),
     (1025, {"tissue": False}),
-    (1028, {}),
-    (1031, {}),
-    (1058, {}),
-    (1062, {}),
-    (1064, {}),
     (1071, {"leaves": False}),
-    (1075, {}),
-    (1086, {}),
-    (1089, {}),
 )
 #: Those that are looked at in each run.
 OFTEN = (1025, 1071)
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
-    "turns": True,
-    "rigid": True,
-    "tissue": True,
-    "leaves": True,
-    "compliance": 3e-4,
-    "mass": 0.4,
-    "delay": 0.012,
-    "force_rate": 200.0,
-    "displacement_rate": 150.0,
-    "force_noise": 0.01,
-    "displacement_noise": 5e-6,
-    "force_step": 0.0,
-    "displacement_step": 0.0,
-    "breathing": 0.0,
+    **dict.fromkeys(("turns", "rigid", "tissue", "leaves"), True),
+    **dict.fromkeys(("force_step", "displacement_step", "breathing"), 0.0),
+    **{"compliance": 3e-4, "mass": 0.4, "delay": 0.012, "force_noise": 0.01},
+    **{"force_rate": 200.0, "displacement_rate": 150.0, "displacement_noise": 5e-6},
 }
 
 
@@ -141,7 +121,7 @@ def test_a_whole_recording_tells_everything():
 
 @pytest.mark.parametrize(
     ("left_out", "silent"),
-    [("turns", {"tool mass", "tool centre of mass"}), ("rigid", {"compliance"})],
+    [("turns", {"tool mass"}), ("rigid", {"compliance"})],
 )
 def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
     found = look(whole_rig(**{left_out: False}))
@@ -150,14 +130,14 @@ def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
         assert finding.motion and not finding.claim and not finding.parameters
 
 
-def test_poses_that_are_not_the_sensors_give_the_mass_but_no_parameters():
+def test_poses_that_are_not_the_sensors_show_no_mass():
     rig = whole_rig()
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned = replace(rig.streams, force=rig.streams.force @ quarter)
     finding = survey([turned]).finding("tool mass")
-    assert finding.value == pytest.approx(rig.truth.mass, rel=0.02)
-    assert "turned by 90.0 degrees" in finding.evidence
-    assert not finding.parameters
+    assert not finding.claim and not finding.parameters
+    assert "the sensor's own frame" in finding.evidence
+    assert survey([turned]).finding("delay").claim
 
 
 #: Units of a force, and of each the tissue's stiffness in N/m of a rig from 1 mN to 200 N.
@@ -252,19 +232,22 @@ def late(
     return Streams("late", stamps[0], force.value[:, None], stamps[1], moved.value[:, None])
 
 
-PUNCH: dict[str, float | str] = {"kind": "flat_punch", "area": math.pi * 1e-4, "thickness": 0.02}
+HOLD = (RampHold(0.3, 0.25, 2.0, 0.6),)
+SINES = (Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3))
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
 @pytest.mark.parametrize("delay", first(0.05, 0.0, 0.1))
-@pytest.mark.parametrize("geometry", [FACE, BALL])
-def test_a_press_of_tissue_tells_a_delay_by_its_bends(geometry, delay, seed):
-    streams = late(delay, RampHold(0.3, 0.25, 2.0, 0.6), seed=seed, geometry=geometry)
-    finding = survey([streams]).finding("delay")
-    assert finding.claim and "bends of 1 press" in finding.evidence
-    assert finding.value == pytest.approx(delay, abs=2.5 * finding.deviation)
-    assert finding.deviation < 0.01
-    assert ("displacement.delay" in finding.parameters) == (delay > 0.03)
+@pytest.mark.parametrize(("geometry", "motions"), [(FACE, HOLD), (BALL, HOLD), (FACE, SINES)])
+def test_presses_of_tissue_tell_a_delay_by_their_bends(geometry, motions, delay, seed):
+    finding = survey([late(delay, *motions, seed=seed, geometry=geometry)]).finding("delay")
+    # 0.1 s are nearly half a period of the faster sine.
+    assert finding.claim == (motions is HOLD or delay < 0.1)
+    assert ("displacement.delay" in finding.parameters) == (finding.claim and delay > 0.03)
+    if finding.claim:
+        assert f"bends of {len(motions)} press" in finding.evidence
+        assert finding.value == pytest.approx(delay, abs=3.0 * finding.deviation)
+        assert finding.deviation < 0.01
 
 
 def test_a_press_without_bends_tells_no_delay():
@@ -275,15 +258,6 @@ def test_a_press_without_bends_tells_no_delay():
     streams = Streams("slow", times, force[:, None], times, depth[:, None])
     finding = survey([streams]).finding("delay")
     assert not finding.parameters and not finding.claim
-
-
-@pytest.mark.parametrize("seed", first(0, 1, 2))
-@pytest.mark.parametrize("delay", first(0.03, 0.0, 0.1))
-def test_sines_at_two_frequencies_tell_a_delay_from_relaxation(delay, seed):
-    sines = [Sinusoid(0.3, 0.2, 0.02, 1.0, 12, 0.3), Sinusoid(0.3, 0.2, 0.02, 4.0, 40, 0.3)]
-    finding = survey([late(delay, *sines, seed=seed)], PUNCH).finding("delay")
-    assert finding.value == pytest.approx(delay, abs=2.5 * finding.deviation)
-    assert finding.deviation < 0.01
 
 
 def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, float]:
@@ -297,7 +271,7 @@ def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, flo
     return replace(one, force=passed), delay
 
 
-@pytest.mark.parametrize("cutoff", first(5.0, 3.0, 10.0))
+@pytest.mark.parametrize("cutoff", first(5.0, 4.0, 10.0))
 def test_a_filter_on_the_force_is_named_and_part_of_the_delay(cutoff):
     streams, delay = filtered(cutoff)
     found = survey([streams])
@@ -348,16 +322,17 @@ def test_the_time_of_a_filter_lies_within_its_deviation(order):
 
 # The command
 
+INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
 
-def test_a_file_holds_the_columns_and_the_place(tmp_path, capsys):
+
+def test_a_file_holds_the_columns(tmp_path, capsys):
     table, output = tmp_path / "recorder 1.log", tmp_path / "probe.yaml"
     _, _, rows = PRESS.read_text(encoding="utf-8").partition("\n")
     table.write_text(f"zeit;kraft;tiefe\n{rows.replace(',', ';').replace('.', ',')}")
-    columns = ("--columns", "zeit,kraft*1,tiefe*1e-3", "--one-place")
+    columns = ("--columns", "zeit,kraft*1,tiefe*1e-3")
     assert fden("configure", table, *columns, *INDENTER, "-o", output) == 0
     capsys.readouterr()
-    contacts = answer(capsys, "replay", table, "--config", output)["contacts"]
-    assert [contact["site"] for contact in contacts] == [1, 1]
+    assert len(answer(capsys, "replay", table, "--config", output)["contacts"]) == 2
     assert read_parameter_file(output).core.synchronize.displacement_delay == 0.0
 
 
@@ -448,55 +423,10 @@ def test_the_robot_recording_tells_no_delay(capsys):
     assert math.isclose(found["force rate"]["value"], 500.0)
 
 
-# `fden configure` where the probe's motion stands in transforms alone
-
-
-INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
-
-
-@pytest.fixture(scope="module")
-def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bag(tmp_path_factory.mktemp("arm") / "arm_bag", arm(first_press()))
-
-
-def test_frames_are_found_and_the_file_replays(arm_bag, tmp_path, capsys):
-    output = tmp_path / "probe.yaml"
-    assert fden("configure", arm_bag, "-o", output, *INDENTER) == 0
-    assert "displacement from tip in base" in capsys.readouterr().out
-    found = read_parameter_file(output)
-    assert (found.frames.base, found.frames.probe) == ("base", "tip")
-    assert found.displacement.message == "tf"
-    for axis in (found.force.axis, found.displacement.axis):
-        assert np.allclose(axis, [0.0, 0.0, 1.0], atol=0.05)
-    assert answer(capsys, "replay", arm_bag, "--config", output)["contacts"]
-
-
-def test_frames_that_are_not_clear_are_asked_for_with_the_list(arm_bag, tmp_path, capsys):
-    assert fden("configure", arm_bag, "--frames", "base,tool") == 1
-    assert "of base, camera, flange, link, sensor, tip" in capsys.readouterr().err
-    second = place(1, "sensor", "knife", np.zeros(3), Rotation.identity(), static=True)
-    samples = [*arm(first_press()), second]
-    assert isinstance(second, Place)
-    assert fden("configure", write_bag(tmp_path / "two", samples)) == 1
-    assert "--frames BASE,PROBE, of base, camera, flange, knife" in capsys.readouterr().err
-
-
-def test_a_way_is_composed_along_the_tree():
-    from geometry_msgs.msg import TransformStamped
-    from tf2_msgs.msg import TFMessage
-
-    tree = FrameTree("here")
-    turn = Rotation.from_euler("z", 90.0, degrees=True).as_quat()
-    for parent, child, second in (("a", "b", 0), ("a", "b", 2), ("b", "c", 1)):
-        one = TransformStamped(child_frame_id=child)
-        one.header.frame_id, one.header.stamp.sec = parent, second
-        one.transform.translation.x = float(second)
-        rotation = one.transform.rotation
-        rotation.x, rotation.y, rotation.z, rotation.w = (float(part) for part in turn)
-        tree.add(TFMessage(transforms=[one]))
-    path = tree.path("a", "c", np.array([1_000_000_000], dtype=np.int64))
-    assert np.allclose(path.places, [[1.0, 1.0, 0.0]])
-    assert np.allclose(path.turns.as_euler("zyx", degrees=True), [[180.0, 0.0, 0.0]])
+def test_a_probe_in_transforms_alone_is_set_up_by_hand(tmp_path, capsys):
+    bag = write_bag(tmp_path / "arm", arm(first_press()))
+    assert fden("configure", bag) == 1
+    assert "set frames.base" in capsys.readouterr().err
 
 
 # Robots by name: their topics and conventions, on bags in each layout by another library
@@ -506,30 +436,15 @@ def test_a_way_is_composed_along_the_tree():
 #: tool), and whether its driver takes the tool's weight off.
 LAYOUTS: dict[str, tuple[str, str, str, float, bool]] = {
     "crtk": ("/PSM1/body/measured_cf", "/PSM1/measured_cp", "pose", 1.0, False),
-    "ur": (
-        "/force_torque_sensor_broadcaster/wrench",
-        "/tcp_pose_broadcaster/pose",
-        "pose",
-        1.0,
-        True,
-    ),
-    "franka": (
-        "/NS_1/franka_robot_state_broadcaster/external_wrench_in_stiffness_frame",
-        "/NS_1/franka_robot_state_broadcaster/current_pose",
-        "pose",
-        -1.0,
-        True,
-    ),
-    "kuka_iiwa": (
-        "/lbr/force_torque_broadcaster/wrench",
-        "/lbr/pose_broadcaster/pose",
-        "pose",
-        -1.0,
-        True,
-    ),
+    "ur": ("/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose",
+           "pose", 1.0, True),
+    "franka": ("/NS_1/franka_robot_state_broadcaster/external_wrench_in_stiffness_frame",
+               "/NS_1/franka_robot_state_broadcaster/current_pose", "pose", -1.0, True),
+    "kuka_iiwa": ("/lbr/force_torque_broadcaster/wrench", "/lbr/pose_broadcaster/pose",
+                  "pose", -1.0, True),
     "xarm": ("/xarm/uf_ftsensor_ext_states", "/xarm/robot_states", "xarm", 1.0, True),
     "ros2_control": ("/fts_broadcaster/wrench", "/tool_broadcaster/pose", "pose", 1.0, False),
-}
+}  # fmt: skip
 
 
 @functools.cache
@@ -542,10 +457,10 @@ def test_every_robot_has_a_layout_here_and_names_its_sources():
     assert set(robot_names()) == set(LAYOUTS)
     for name in robot_names():
         robot = robot_named(name)
-        assert robot.sources
-        for quantity, topic in zip(robot.quantities.values(), LAYOUTS[name], strict=False):
-            assert quantity.convention
-            assert any(fnmatch(topic, pattern) for pattern in quantity.topics)
+        assert robot.convention
+        assert "sources:\n  - " in (CONFIG / "robots" / f"{name}.yaml").read_text()
+        for patterns, topic in zip(robot.topics.values(), LAYOUTS[name], strict=False):
+            assert any(fnmatch(topic, pattern) for pattern in patterns)
 
 
 #: Another type, another sign and a weight are looked at in each run, what is alike is not.
@@ -565,7 +480,7 @@ def test_topics_signs_and_weight_are_found_in_the_layout_of(name, tmp_path, caps
     assert answered["inputs"][0]["displacement"].startswith(displacement)
     axis = answered["parameters"]["force.axis"]
     assert np.allclose(axis, [0.0, 0.0, -sign], atol=0.02)
-    convention = robot_named(name).force.axis
+    convention = robot_named(name).axis
     if convention is not None:
         assert np.allclose(axis, convention, atol=0.02)
     found = {finding["subject"]: finding for finding in answered["findings"]}
@@ -598,23 +513,12 @@ def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(
     assert read_parameter_file(tmp_path / "probe.yaml").displacement.message == "transform"
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_a_file_from_conventions_alone_can_be_read(name, tmp_path):
-    path = tmp_path / "probe.yaml"
-    assert fden("configure", "--robot", name, "-o", path) == 0
-    parameters = read_parameter_file(path)
-    axis = robot_named(name).force.axis
-    assert list(parameters.force.axis) == (axis or [0.0, 0.0, 1.0])
-    assert "# source: " in path.read_text(encoding="utf-8")
-
-
 def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(tmp_path):
     path = tmp_path / "probe.yaml"
-    assert fden("configure", "--robot", "ur", "-o", path) == 0
-    topics = ["/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose"]
-    assert list(live_topics(path).values()) == topics
+    path.write_text("# Live: -r force:=/ft/wrench -r displacement:=/tcp/pose\n")
+    assert list(live_topics(path).values()) == ["/ft/wrench", "/tcp/pose"]
     given = ["identifier", "--ros-args", "--params-file", str(path)]
-    remap = f"displacement:={topics[1]}"
-    assert written_remaps(given) == ["--ros-args", "-r", f"force:={topics[0]}", "-r", remap]
+    remap = "displacement:=/tcp/pose"
+    assert written_remaps(given) == ["--ros-args", "-r", "force:=/ft/wrench", "-r", remap]
     assert written_remaps([*given, "-r", "force:=/ft"]) == ["--ros-args", "-r", remap]
     assert written_remaps(["identifier"]) == []

@@ -70,7 +70,7 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
     From `lost_at` [s] on no estimate arrives.
     """
     rig = Rig(_rig_config(model))
-    controller = _controller(rig.config, scheduled=scheduled)
+    controller = _controller(rig.config)
     sizes = {"geometry.area": rig.config.area, "geometry.thickness": rig.config.thickness}
     # The stepped rig is rigid, and its tissue that of the law.
     settings = pipeline_config(check({**EXACT, **sizes}))
@@ -101,7 +101,7 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
             air.append(mean)
         else:
             found = live.stiffness(1.0 / controller.config.bandwidth, rig.time)
-            known = found[:2] if found is not None else None
+            known = found[:2] if found is not None and scheduled else None
             tared = mean - float(np.mean(air))
             velocity = controller.step(rig.time, tared, depth, target, known)
         rig.command(Command.VELOCITY, velocity)
@@ -120,8 +120,8 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
     return Run(times, found, lives.astype(bool), overshoot, settling, tuple(refusals[1:]))
 
 
-def _controller(rig: RigConfig, *, scheduled: bool) -> ForceController:
-    config = ForceControlConfig(safe_stiffness=1.0, force_limit=LIMIT, scheduled=scheduled)
+def _controller(rig: RigConfig) -> ForceController:
+    config = ForceControlConfig(safe_stiffness=1.0, force_limit=LIMIT)
     strain = STIFFEST.strain_of_phi(WORKING / rig.area)
     tangent = float(STIFFEST.phi_derivative(strain)) * rig.area / rig.thickness
     factor = apparent_stiffness_factor(STIFFEST.fractional_order, 1.0 / config.bandwidth)

@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import begun
+from pipeline_helpers import begun, of_columns, summaries_of
 from property_helpers import counts
 
 from fden_ros.core import ContactSummary, Pipeline, Status, TissueState
-from fden_ros.core.outputs import Output
+from fden_ros.core.outputs import Flag, Output
 from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.parameters import check, pipeline_config
@@ -69,19 +69,10 @@ def last(places: np.ndarray, forces: np.ndarray, **options: float) -> Slopes:
 
 
 def outputs_of(
-    places: np.ndarray, forces: np.ndarray, *, at_once: int = 1, **own: object
+    places: np.ndarray, forces: np.ndarray, **own: object
 ) -> tuple[Pipeline, list[Output]]:
-    """Return what the pipeline puts out: so many samples of a stream come at once."""
-    pipeline, outputs = begun(own)
-    stamps = [START_NS + round(n / RATE * NANOSECONDS) for n in range(len(places))]
-    for start in range(0, len(stamps), at_once):
-        part = slice(start, start + at_once)
-        for stamp_ns, place in zip(stamps[part], places[part].tolist(), strict=True):
-            pipeline.add_displacement(stamp_ns, place)
-        for stamp_ns, force in zip(stamps[part], forces[part].tolist(), strict=True):
-            pipeline.add_force(stamp_ns, force)
-    pipeline.finish()
-    return pipeline, outputs
+    """Return what the pipeline puts out of samples on one clock."""
+    return of_columns(own, np.arange(len(places)) / RATE, forces, places)
 
 
 def states_of(outputs: list[Output]) -> list[TissueState]:
@@ -203,13 +194,13 @@ def test_steps_of_an_encoder_are_no_turns():
 
 
 @functools.cache
-def pressed(at_once: int = 1) -> list[Output]:
+def pressed() -> list[Output]:
     """Return what comes of a press of a spring from the air, touched at 1 mm."""
     places = way((0.0, 1.0), (-0.002, 0.1), (0.005, 1.4), (0.005, 0.5), (-0.002, 1.4))
     places, draw = np.concatenate([places, np.full(500, -0.002)]), np.random.default_rng(2)
     read = places + 1e-3 + 1e-6 * draw.standard_normal(places.size)
     forces = SPRING * np.maximum(places, 0.0) + 1e-3 * draw.standard_normal(places.size)
-    return outputs_of(read, forces, at_once=at_once)[1]
+    return outputs_of(read, forces)[1]
 
 
 def summary() -> ContactSummary:
@@ -227,15 +218,6 @@ def test_contact_has_the_slopes_where_it_was_deepest():
     assert states[-1].status is Status.NO_CONTACT and states[-1].measured == NOT_MEASURED
 
 
-@pytest.mark.parametrize("at_once", [7, 50])
-def test_how_samples_come_makes_no_difference(at_once):
-    alone, together = (
-        [(o.stamp_ns, repr(o.measured)) for o in outputs if isinstance(o, TissueState)]
-        for outputs in (pressed(), pressed(at_once))
-    )
-    assert alone == together
-
-
 def test_recording_that_begins_in_contact_is_measured():
     places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
     forces = SPRING * places + 1e-3 * np.random.default_rng(2).standard_normal(places.size)
@@ -249,7 +231,7 @@ def test_continuous_contact_is_measured():
     places = 0.004 + 5e-4 * np.sin(2.0 * np.pi * 1.5 * seconds)
     forces = SPRING * places - 7.0 + 1e-3 * np.random.default_rng(4).standard_normal(places.size)
     _, outputs = outputs_of(places, forces, **CONTINUOUS)
-    states = [state.measured for state in states_of(outputs) if state.stamp_ns > 2 * START_NS]
+    states = [state.measured for state in states_of(outputs)[200:]]
     found = [one for both in states for one in both]
     assert all(one and abs(one.value - SPRING) < 5.0 * one.sd for one in found)
     assert np.median([one.value for one in found]) == pytest.approx(SPRING, rel=0.01)
@@ -291,3 +273,47 @@ def test_messages_hold_what_is_measured():
         again = state_of(estimate_message(replace(state, measured=both), "tool"))
         assert again.measured == both
     assert summary_of(summary_message(summary(), "tool")).measured == summary().measured
+
+
+def clipped(seed: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, forces and displacements of a press of the paper's law, by its own convolution.
+
+    The force is cut off at a `part` of its peak; the noise is added after that.
+    """
+    draw, rate = np.random.default_rng(seed), (100.0, 200.0, 500.0)[seed % 3]
+    time, speed = np.arange(0.0, 7.0, 1.0 / rate), draw.uniform(4e-3, 16e-3)
+    alpha, gn, travel = draw.uniform(0.05, 0.3), draw.uniform(5.0, 11.0), 0.008
+    corners = np.cumsum([2.0, travel / speed, draw.uniform(0.2, 2.0), travel / speed])
+    places = np.interp(time, corners, [-0.003, 0.005, 0.005, -0.003])
+    strain = np.maximum(places, 0.0) / 0.02
+    phi = np.where(strain < 1 / gn, strain, np.exp(gn * strain - 1.0) / gn)
+    lags = np.diff(np.arange(time.size + 1) ** (1 - alpha)) * rate**alpha / math.gamma(2 - alpha)
+    force = np.maximum(np.convolve(np.diff(phi, prepend=0.0), lags)[: time.size], 0.0)
+    force *= 0.2 / force.max()
+    read = np.minimum(force, part * force.max()) + 8e-4 * draw.standard_normal(time.size)
+    return time, read, places + 1e-6 * draw.standard_normal(time.size)
+
+
+def is_cut_off(seed: int, part: float) -> bool:
+    measured = MeasuredSlopes(pipeline_config(check({})))
+    for time, force, place in zip(*(c.tolist() for c in clipped(seed, part)), strict=True):
+        measured.add(Pair(0, START_NS + round(time * NANOSECONDS), force, place, None))
+        measured.assign(1, in_contact=True, surface=0.0, bias=0.0)
+    if measured.is_saturated:
+        assert measured.of(1) == NOT_MEASURED
+    return measured.is_saturated
+
+
+@pytest.mark.parametrize("count", counts(8, 200))
+def test_a_force_whose_envelope_stands_still_while_the_probe_goes_on_is_saturated(count):
+    assert not any(is_cut_off(seed, 1.0) for seed in range(count))
+    for part in (0.6, 0.75):
+        assert sum(is_cut_off(seed, part) for seed in range(count)) >= 0.9 * count
+
+
+def test_nothing_is_claimed_of_a_saturated_contact():
+    parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    (found,) = summaries_of(of_columns(parameters, *clipped(1, 0.75))[1])
+    assert Flag.SATURATED in found.flags
+    assert not found.converged and found.estimate is None and found.apparent_stiffness is None
+    assert found.measured == NOT_MEASURED

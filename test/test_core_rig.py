@@ -36,33 +36,18 @@ from simulation.trajectory import Approach, Palpation
     ("case", "contradicts"),
     [
         (CASES["undisturbed"], False),
-        (replace(CASES["undisturbed"], delay_s=0.02), None),
         (replace(CASES["friction_20mN"], disturbances=Disturbances(friction_n=0.04)), True),
     ],
-    ids=["as stated", "delay", "friction"],
+    ids=["as stated", "friction"],
 )
 def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
     case, contradicts, numbers
 ):
-    """A delay of 20 ms may as well be an error of the law: then that is in the deviations."""
     for number in range(numbers):
         (contact,) = trial_of(case, number, {}).contacts
         is_said = bool(contact.flags & Flag.RIG_PRIOR_CONFLICT) or not contact.converged
-        assert contradicts is None or is_said == contradicts
+        assert is_said == contradicts
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
-
-
-def ratios(name, numbers):
-    """Return errors over stated deviations, shape (contacts, 3)."""
-    trials = [trial_of(CASES[name], number, {}) for number in numbers]
-    contacts = [contact for trial in trials for contact in trial.contacts]
-    return np.array([contact.error / contact.deviation for contact in contacts])
-
-
-@pytest.mark.parametrize("numbers", counts(1, 8))
-def test_a_surface_that_moves_far_more_than_is_stated_is_no_silent_error(numbers):
-    """Breathing of 1 mm is smooth: the parameters follow it, 2.7 standard deviations off."""
-    assert np.all(np.abs(ratios("breathing_1mm", range(numbers))) < 5.0)
 
 
 # Contacts judged by the air after them
@@ -127,21 +112,19 @@ def pressed(aside):
     return identified(items, parameters_of(recording) | EXACT | AXIS)[1]
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_a_press_along_a_tilted_axis_is_none(tilt):
-    (summary,) = summaries_of(pressed(lambda time, depth: tilt * depth))
+def test_a_press_along_a_tilted_axis_is_none():
+    (summary,) = summaries_of(pressed(lambda time, depth: 0.3 * depth))
     assert summary.converged
     assert not summary.flags & Flag.TOUCH_NOT_OBSERVED
 
 
-@pytest.mark.parametrize("begins", [0.0, 1.0])
-def test_a_contact_in_which_the_probe_is_dragged_aside_claims_nothing(begins):
-    outputs = pressed(lambda time, depth: 0.02 * max(time - begins, 0.0))
+def test_a_contact_in_which_the_probe_is_dragged_aside_claims_nothing():
+    outputs = pressed(lambda time, depth: 0.02 * max(time - 1.0, 0.0))
     (summary,) = summaries_of(outputs)
     assert summary.flags & Flag.TOUCH_NOT_OBSERVED
     assert summary.estimate is None and not summary.converged
     # By then it has gone as far as it is deep.
-    late = summary.start_ns + int((begins + 0.4) * 1e9)
+    late = summary.start_ns + 1_400_000_000
     states = [s for s in outputs if isinstance(s, TissueState)]
     states = [state for state in states if late < state.stamp_ns < summary.end_ns]
     assert states and all(state.status is not Status.CONVERGED for state in states)

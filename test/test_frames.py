@@ -32,11 +32,11 @@ from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
+from fden_ros.inputs import Inputs
 from fden_ros.offline.replay import replay
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.ros.inputs import Inputs
 from fden_ros.ros.messages import to_stamp
 from simulation.bag import PARAMETER_FILE
 

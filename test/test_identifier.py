@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +33,10 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.parameters import PARAMETERS
-from fden_ros.recording.reader import BagReader
-from fden_ros.recording.truth import read_truth
+from fden_ros.recording.reader import BagReader, read_truth
 from simulation.bag import PARAMETER_FILE, write_recording
 from simulation.scenario import load_scenario
 from simulation.simulate import simulate
-from simulation.trajectory import Sinusoid
 
 GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 
@@ -71,21 +68,10 @@ def continuous(bag: Path) -> Path:
     return bag
 
 
-def oscillating(bag: Path) -> Path:
-    """A probe that oscillates with 2 Hz about a strain below 1/Gn."""
-    scenario = load_scenario("sinusoid")
-    sites = (replace(scenario.sites[0], presses=(Sinusoid(0.2, 0.08, 0.02, 2.0, 6, 0.5),)),)
-    write_recording(simulate(replace(scenario, sites=sites), 3), bag)
-    with (bag / PARAMETER_FILE).open("a", encoding="utf-8") as file:
-        file.write("    dither.frequencies: [2.0]\n")
-    return bag
-
-
 @pytest.mark.parametrize(
     ("made", "kinds"),
     [
         ("golden_pose", (TissueState, Classification, ContactSummary)),
-        (oscillating, (TissueState, DynamicModulus)),
         (continuous, (TissueState, ContactSummary, DynamicModulus)),
     ],
 )

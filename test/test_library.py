@@ -85,17 +85,12 @@ def liver_with(**changes):
     [
         ("tissues: [", "not valid YAML"),
         (content(format=3), "newer"),
-        (content(tissues=[]), "at least one"),
         (content(tissues=[{"name": "a", **MOMENTS}] * 2), "must differ"),
         (content(tissues=[{"name": "unknown", **MOMENTS}]), "unknown"),
-        (content(unknown=None), "needs `unknown`"),
         (liver_with(linear_stiffness={"mean": 500.0}), "`linear_stiffness: sd` is None"),
         (liver_with(nonlinear_stiffness={"mean": 0, "sd": 1}), "must be a positive number"),
-        (liver_with(fractional_order={"mean": math.nan, "sd": 1}), "must be a positive number"),
-        (liver_with(prior=-1), "`prior` is -1"),
         (learned_with(mean=[1.0, 2.0]), "must be (ln G, ln Gn, alpha)"),
         (learned_with(covariance=[[1, 2, 0], [2, 1, 0], [0, 0, 1]]), "positive definite"),
-        (learned_with(covariance=[[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]), "symmetric"),
         (content(format=2, units="psi"), "must be Pa or N"),
     ],
 )
@@ -120,11 +115,6 @@ def test_library_of_other_units_is_refused(tmp_path, units, area):
         pipeline_config(parameters(path, area=area))
 
 
-def test_built_in_library_is_left_out_where_it_does_not_fit():
-    assert pipeline_config(parameters(area=1.0)).library is None
-    assert pipeline_config(parameters()).library.name == "paper"
-
-
 # Libraries learned from contacts
 
 
@@ -147,12 +137,6 @@ def test_estimation_error_is_subtracted():
     mean = np.mean([np.diag(one.covariance) for one in found], axis=0)
     np.testing.assert_allclose(mean, np.diag(SPREAD), rtol=0.3)
     assert found[0].degrees_of_freedom == 43.0
-
-
-def test_class_of_one_contact_has_the_default_spread_and_the_error():
-    one = learn("a", Contacts(MEAN[None], np.diag([1.0, 1.0, 1e-4])[None]))
-    default = 2.0 * np.diag(np.square([0.28, 0.19, 0.02]))
-    np.testing.assert_allclose(one.covariance, default + np.diag([1.0, 1.0, 1e-4]))
 
 
 @pytest.mark.statistics
@@ -200,7 +184,7 @@ def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
     labelled = []
     for name, g in (("soft", 450.0), ("stiff", 1500.0)):
         scenario = ramp_scenario(
-            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=200.0, seed=1,
+            strain_rate=0.4, max_strain=0.22, hold_s=0.3, rate_hz=100.0, seed=1,
             tissue=Tissue(g, 8.0, 0.13),
         )  # fmt: skip
         write_recording(simulate(scenario), tmp_path / name)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -17,12 +16,10 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
-from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from ros_helpers import RELIABLE, STEP_NS, Bench, active, identifier, stamp
-from sensor_msgs.msg import JointState
+from ros_helpers import STEP_NS, Bench, active, identifier, stamp
 
 from simulation.simulate import START_NS
 
@@ -56,29 +53,6 @@ def test_a_topic_that_nothing_publishes_is_named_with_one_that_fits_and_the_rema
     assert "/displacement is published by /bench" in warnings_of(node, "/displacement is")[-1]
 
 
-def test_a_publisher_that_has_just_come_is_no_problem_and_its_first_samples_are_said():
-    with Bench() as bench:
-        for publisher in (bench.force, bench.displacement):
-            bench.node.destroy_publisher(publisher)
-        with active() as node:
-            wait_for_words(bench, "nothing publishes /displacement")
-            bench.force = bench.node.create_publisher(WrenchStamped, "/force", RELIABLE)
-            bench.displacement = bench.node.create_publisher(JointState, "/displacement", RELIABLE)
-            silent = "/displacement is published by /bench, but no message has come"
-            bench.wait_for(lambda: silent in bench.diagnostic().get("message", ""), silent)
-            seen = len(bench.diagnostics)
-            now = iter(range(START_NS, 2 * START_NS, STEP_NS))
-            bench.wait_for(
-                lambda: bench.publish(next(now), 0.0, 0.0) or len(bench.diagnostics) >= seen + 2,
-                "two diagnostics",
-            )
-    assert len(warnings_of(node, "nothing publishes /displacement")) == 1
-    # The first look that finds it silent says nothing; a busy machine may be late for the second.
-    if looks_that_say(bench, "no message has come") == 1:
-        assert not warnings_of(node, "no message has come")
-    assert node.output.count("force and displacement come now") == 1
-
-
 def test_stamps_of_zero_are_said_with_the_parameter_that_takes_the_times_of_receipt_instead():
     def air(bench: Bench) -> None:
         bench.publish(0, 0.0, 0.0)
@@ -105,17 +79,6 @@ def test_stamps_of_zero_are_said_with_the_parameter_that_takes_the_times_of_rece
             )
             # The middleware's clock, to its resolution.
             assert begin - 1_000_000 < stamp(said[0]) < time.time_ns()
-
-
-def test_a_consumer_that_comes_late_hears_that_there_is_no_estimate_yet():
-    with active({"source_timeout": 0.1}):
-        with Bench() as early:
-            early.wait_for(lambda: early.estimates, "a first word")
-        with Bench() as late:
-            said = late.wait_for(lambda: late.estimates, "the same word")[0]
-    assert said.status == TissueEstimate.STATUS_STALE
-    assert said.valid == TissueEstimate.VALID_NONE
-    assert said.header.stamp.sec == 0
 
 
 def test_lost_messages_are_said_with_their_topic_and_what_mends_it():
@@ -225,20 +188,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         assert node.output.count(f": {words}") == count, words
 
 
-@pytest.mark.parametrize(("period", "deadline"), [(0.01, 0.05), (0.2, 1.0)])
-def test_the_offered_deadline_follows_the_period_of_the_estimate(period, deadline):
-    with Bench() as bench, active({"estimate.period": period}):
-        bench.wait_until_connected()
-
-        def offered(topic: str) -> float:
-            (info,) = bench.node.get_publishers_info_by_topic(f"{bench.name}/{topic}")
-            return float(info.qos_profile.deadline.nanoseconds * 1e-9)
-
-        assert offered("estimate") == pytest.approx(deadline)
-        # Nobody knows when a probe oscillates.
-        assert offered("complex_modulus") > 1e6
-
-
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may raise a priority everywhere")
 def test_the_node_and_its_middleware_go_before_ordinary_processes():
     with Bench() as bench, identifier({"autostart": True}) as node:
@@ -249,18 +198,6 @@ def test_the_node_and_its_middleware_go_before_ordinary_processes():
         found = {os.getpriority(os.PRIO_PROCESS, pid) for pid in own}
     assert len(own) > 1 and found == {max(os.nice(0) - 10, -20)}, threads
     assert "no right" not in node.output
-
-
-def test_no_right_to_a_negative_nice_is_reported_with_the_page_that_gives_it():
-    program = (
-        "import os, resource\n"
-        "resource.setrlimit(resource.RLIMIT_NICE, (0, 0))\n"
-        "from fden_ros.nodes.identifier import _ask_for_priority\n"
-        "if os.geteuid() == 0: os.setuid(65534)\n"
-        "print(_ask_for_priority())"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert "no right to a negative nice (-10)" in done.stdout and "docs/robots.md" in done.stdout
 
 
 # The end

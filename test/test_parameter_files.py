@@ -159,7 +159,7 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
         "/**:\n  ros__parameters:\n    prior: {alpha: 0.2}\n    prior: {alpha_sd: 0.02}\n",
         "not valid YAML: prior stands twice in one mapping",
     ),
-    "no text": (b"\xff\xfe\x00", "cannot read the parameter file: it is not a text file"),
+    "no text": (b"\xff\xfe\x00", "not valid YAML: 'utf-8' codec can't decode"),
     "for another node": (
         "/arm/identifier:\n  ros__parameters: {geometry.area: 2e-4}\n",
         "there is no section for the node /identifier, only for /arm/identifier: `/**` is for "

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, Vector3, Vector3Stamped, WrenchStamped
 from pipeline_helpers import LIVER_PARAMETERS, refusal
-from sensor_msgs.msg import FluidPressure, JointState
+from sensor_msgs.msg import JointState
 
 from benchmark.trial import through
 from fden_ros.core import (
@@ -28,10 +28,10 @@ from fden_ros.core import (
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
+from fden_ros.inputs import Inputs
+from fden_ros.message_kinds import FORCES, MessageKind
 from fden_ros.parameters import (
-    FORCES,
     PARAMETERS,
-    MessageKind,
     Parameters,
     check,
     pipeline_config,
@@ -39,7 +39,6 @@ from fden_ros.parameters import (
     tool_weight,
 )
 from fden_ros.parameters.table import parameter_named
-from fden_ros.ros.inputs import Inputs
 from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
@@ -241,56 +240,16 @@ def test_parameter_says_what_of_a_message_counts(name):
         assert samples.heard == [(stream, number)]
 
 
-@pytest.mark.parametrize(
-    ("kind", "message", "expected"),
-    [
-        (
-            MessageKind("geometry_msgs/msg/Vector3Stamped", "vector"),
-            Vector3Stamped(vector=Vector3(x=1.0, z=3.0)),
-            3.0,
-        ),
-        (
-            MessageKind("sensor_msgs/msg/FluidPressure", "fluid_pressure"),
-            FluidPressure(fluid_pressure=2.0),
-            -2.0,
-        ),
-    ],
-    ids=["vector", "number"],
-)
-def test_a_new_type_of_message_is_one_row(kind, message, expected, monkeypatch):
+def test_a_new_type_of_message_is_one_row(monkeypatch):
+    kind = MessageKind("geometry_msgs/msg/Vector3Stamped", "vector")
     monkeypatch.setitem(FORCES, "new", kind)
     samples = Samples()
+    message = Vector3Stamped(vector=Vector3(x=1.0, z=3.0))
     Inputs(check({"force.inverted": True}), samples).add("force", message)
-    assert samples.heard == [("force", expected)]
-
-
-#: Shown with the running node, in test_parameter_files.py and test_node_start.py.
-LIVE = {"force.message", "displacement.message", "synchronize.stamp_source"}
-TOOLS = {"tool.mass", "tool.centre_of_mass", "tool.gravity"}
-#: Shown with the part of the core that takes them; of the geometry, above and with its classes.
-TAKEN = {
-    "geometry.kind",
-    "geometry.area",
-    "geometry.thickness",
-    "geometry.radius",
-    "geometry.hayes",
-    "geometry.poisson_ratio",
-    "force.friction",
-    "plausibility.max_force",
-    "converged.log_g_sd",
-    "classification.probability",
-}
-#: In test_frames.py.
-FRAMES = {"frames.base", "frames.probe", "displacement.along_tool", "surface.normal"}
-
-
-def test_no_parameter_is_without_a_test():
-    shown = {*EFFECTS, *TAKEN, *READ, *LIVE, *TOOLS, *FRAMES, "classifier.library"}
-    assert shown == {parameter.name for parameter in PARAMETERS}
+    assert samples.heard == [("force", 3.0)]
 
 
 # What each parameter does to what comes out, on recordings of one press or a few
-# Those of messages, tools and labels are in test_parameters.py, which says where a row is missing.
 
 
 LIVER = Tissue(520.0, 8.4, 0.131)
@@ -462,11 +421,6 @@ def compared(usual: Heard, changed: Heard) -> list[bool]:
     return [one.summary.comparison is not None for one in (usual, changed)]
 
 
-def labels(usual: Heard, changed: Heard) -> tuple[str, str]:
-    return usual.summary.classes.label, changed.summary.classes.label
-
-
-RELATIVE = RIGID | {"classification.mode": "relative"}
 GIVEN = {"alpha.learn": False}
 
 #: Recording, other parameters, the value, and what it does to what comes out (usual, changed).

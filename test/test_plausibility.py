@@ -5,26 +5,23 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_helpers import answer, fden
+from command_helpers import answer
 from pipeline_helpers import LIVER_PARAMETERS, begun
 
-from benchmark.trial import fed, through
+from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import check, pipeline_config
+from fden_ros.parameters import check
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
-from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
-from simulation.simulate import EXACT, simulate
-from simulation.trajectory import RampHold
+from simulation.simulate import EXACT
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
 RIGHT = "time_s,force_N,depth_mm*1e-3"
@@ -47,17 +44,17 @@ def identified(
     parameters: dict[str, object],
     outputs: list[Output] | None = None,
 ) -> Replay:
+    kept = [] if outputs is None else outputs
     return replay(
         recording,
         check(parameters),
         Selection(columns=Columns.parse(columns)),
-        on_output=None if outputs is None else lambda output, _frame: outputs.append(output),
+        on_output=lambda output, _frame: kept.append(output),
     )
 
 
 WRONG = {
     "mm": ("time_s,force_N,depth_mm*1", RIGID, "mm (factor 0.001: 0.3)"),
-    "mm/10": ("time_s,force_N,depth_mm*1e-1", RIGID, "cm (factor 0.01: 0.3)"),
     # A hundredfold G is soft tissue too: only a prior of this one tells that the unit is wrong.
     "g": (
         "time_s,force_N*102,depth_mm*1e-3",
@@ -65,7 +62,6 @@ WRONG = {
         "is the force in g (factor 0.00981)",
     ),
     "ms": ("time_s*1e3,force_N,depth_mm*1e-3", RIGID, "is the time in ms (factor 0.001: "),
-    "thickness in inches": (RIGHT, {**RIGID, "geometry.thickness": 0.79}, "0.0079 m"),
 }
 
 
@@ -86,34 +82,22 @@ def test_wrong_unit_is_never_converged_and_said_with_its_factor(columns, paramet
     ("force", "displacement", "words"),
     [
         (1.0, 1.0, None),
-        (-1.0, 1.0, "does it have the wrong sign (force.axis"),
-        (1.0, -1.0, "does the displacement have the wrong sign"),
-        (-1.0, -1.0, "do both have the wrong sign"),
+        (-1.0, 1.0, "below its value in the air; change its sign (force.axis"),
+        (1.0, -1.0, "change the sign of the displacement (displacement.axis"),
+        (-1.0, -1.0, "the displacement falls with it; change both signs"),
     ],
 )
 def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, displacement, words):
     """As the node looks, once a second, and as a replay says at the end."""
     pipeline, _ = begun(PROBE)
     problems = PipelineProblems(pipeline)
-    said: list[str] = []
+    said: list[tuple[str, ...]] = []
     times, newtons, mm = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250).T
     for k, _ in enumerate(fed(pipeline, times, force * newtons, displacement * 1e-3 * mm)):
-        said += problems.look().warnings if k % 200 == 199 else ()
-    said = [one for one in [*said, *pipeline.warnings] if "fell below its value in the air" in one]
-    assert all(words is not None and words in one for one in said), said
+        said += [problems.look().warnings] if k % 200 == 199 else []
+    said = [one for one in [*said, tuple(pipeline.warnings)] if one]
+    assert all(words is not None and words in likeliest for likeliest, *_ in said), said
     assert bool(said) == (words is not None)
-
-
-def test_no_sign_is_doubted_because_a_creeping_touch_was_taken_for_the_air():
-    scenario = Scenario(
-        geometry=Geometry(area_m2=PROBE["geometry.area"], thickness_m=0.02),
-        sites=(Site(Tissue(545.0, 8.5, 0.131), (RampHold(0.01, 0.35, 2.0, 0.4),)),),
-        force=ForceSensor(100.0, noise_n=0.01),
-        displacement=DisplacementSensor(100.0),
-    )
-    pipeline, _ = through(simulate(scenario, 0), pipeline_config(check(PROBE)))
-    (said,) = (one for one in pipeline.warnings if "fell below its value in the air" in one)
-    assert "sign" not in said and "touch faster" in said
 
 
 def test_slow_recording_is_identified():
@@ -127,32 +111,14 @@ def test_slow_recording_is_identified():
         assert summary.estimate.nonlinear_stiffness == pytest.approx(g_n, rel=0.01)
 
 
-def test_nothing_identified_is_an_exit_code_of_its_own(capsys, tmp_path, once):
-    config = tmp_path / "probe.yaml"
-    config.write_text("/**: {ros__parameters: {geometry: {area: 3.14e-4, thickness: 0.02}}}\n")
-    command = ("replay", once, "--config", config, "--json", "--columns")
-    assert fden(*command, "time_s,force_N,depth_mm*1") == 3
-    printed = capsys.readouterr()
-    assert printed.err.count("\n") == 1 and "nothing was identified" in printed.err
-    assert all("implausible" in c["flags"] for c in json.loads(printed.out)["contacts"])
-    assert fden(*command, RIGHT) == 0
-    assert capsys.readouterr().err == ""
-
-
 # A geometry that is not stated
 
 
-@pytest.mark.parametrize(
-    ("parameters", "example"),
-    [
-        ({}, "kind: flat_punch, area: "),
-    ],
-)
-def test_without_a_stated_geometry_nothing_is_converged(parameters, example, once):
+def test_without_a_stated_geometry_nothing_is_converged(once):
     outputs: list[Output] = []
-    unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0), **parameters}
+    unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0)}
     result = identified(once, RIGHT, unstated, outputs)
-    assert example in result.warnings[0]
+    assert "kind: flat_punch, area: " in result.warnings[0]
     # The measured slope needs none.
     assert result.with_stiffness_alone == {s.contact_id for s in result.summaries} != set()
     flagged = [o for o in outputs if isinstance(o, (TissueState, Classification, ContactSummary))]
@@ -165,14 +131,12 @@ def test_without_a_stated_geometry_nothing_is_converged(parameters, example, onc
 
 
 def test_every_output_says_that_the_geometry_is_not_stated(capsys, tmp_path, once):
-    results, page = tmp_path / "results", tmp_path / "press.html"
+    results = tmp_path / "results"
     found = answer(capsys, "replay", once, "--columns", RIGHT, "-o", results)
     assert all(
         c["flags"] == ["geometry_unstated"] and not c["converged"] for c in found["contacts"]
     )
     assert found["warnings"][0].startswith("the geometry is not stated")
-    assert fden("report", once, "--columns", RIGHT, "-o", page) == 0
-    assert "sizes not stated" in page.read_text(encoding="utf-8")
     messages = [decode(m) for m in BagReader(results).messages(["/diagnostics"])]
     assert messages
     for message in messages:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from geometry_msgs.msg import WrenchStamped
@@ -55,16 +54,6 @@ def test_a_subscriber_receives_every_message_bit_for_bit_in_order(tmp_path):
         # DDS may pad a message to a multiple of 4 bytes.
         expected = [message.data for message in bag.messages([topic])]
         assert [d[: len(e)] for d, e in zip(received, expected, strict=True)] == expected
-
-
-def test_the_pace_is_that_of_the_bag_times_the_rate(tmp_path, monkeypatch):
-    """By a clock that stands still: for what it waits, not for how long a machine takes."""
-    bag, waits = make_bag(tmp_path / "bag", 20), []
-    clock = SimpleNamespace(monotonic=lambda: 0.0, sleep=waits.append)
-    monkeypatch.setattr(player, "time", clock)
-    monkeypatch.setattr(player, "_INPUT_TYPES", ())
-    assert player.play(bag, rate=2.0, wait=0.0) == 41
-    assert waits == pytest.approx([0.0] + [0.05 * n for n in range(20) for _ in range(2)])
 
 
 def test_what_nobody_hears_and_what_cannot_be_used_are_refused_in_one_line(tmp_path):

@@ -30,10 +30,9 @@ from fden_ros.offline.replay import replay
 from fden_ros.parameters import check
 from fden_ros.recording.message_types import known_types, serialize, type_hash
 from fden_ros.recording.qos import LATCHED, RELIABLE
-from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.reader import BagReader, decode, read_truth
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
-from fden_ros.recording.truth import read_truth
 from fden_ros.recording.writer import BagWriter
 
 START = 1_700_000_000_000_000_000

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 import gzip
 import shutil
@@ -18,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_helpers import fden, rows_of
 from recording_kinds import bag_of, small
 
-from fden_ros.cli import main
 from fden_ros.offline.batch import Results, Work, find_bags, identify
 from fden_ros.parameters import check
 from fden_ros.recording.reader import BagReader
@@ -113,7 +112,7 @@ def held(place: str | Path) -> list[Any]:
     if not looks_like_a_table(place):
         return list(BagReader(place).messages())
     source = open_source(place, check({}), Selection(from_touch=False))
-    return [source.inputs, *source._table.rows()]
+    return [source.inputs, *(column.tolist() for column in source.columns)]
 
 
 @pytest.mark.parametrize(
@@ -127,19 +126,9 @@ def test_a_recording_at_a_url_holds_what_its_file_holds(root, name, folder):
 def test_an_archive_at_a_url_is_identified(web, tmp_path):
     root = web
     names, table = ("press/", "nothing.mcap", "nothing.csv"), tmp_path / "results.csv"
-    command = [
-        "batch",
-        *(f"{root}/{name}" for name in names),
-        "-o",
-        table,
-        "--config",
-        CONFIG,
-        "--workers",
-        "1",
-    ]
-    assert main([str(word) for word in command]) == 0
-    with table.open(newline="") as file:
-        errors = [(row["bag"].removeprefix(root), row["error"]) for row in csv.DictReader(file)]
+    options = ("-o", table, "--config", CONFIG, "--workers", "1")
+    assert fden("batch", *(f"{root}/{name}" for name in names), *options) == 0
+    errors = [(row["bag"].removeprefix(root), row["error"]) for row in rows_of(table)]
     (missing, why), (other, why_other), *contacts = sorted(errors)
     assert (missing, other) == ("/nothing.csv", "/nothing.mcap")
     assert "does not exist" in why and "does not exist" in why_other
@@ -147,11 +136,11 @@ def test_an_archive_at_a_url_is_identified(web, tmp_path):
 
 
 def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3):
-    for root in ("s3://lab/day",):
-        found = [str(bag).removeprefix(root) for bag in find_bags([root])]
-        assert found == ["/old/old.db3", "/packed.csv.gz", "/press", "/table.csv"]
-        (bag,) = find_bags([f"{root}/pr*/*.mcap"])
-        assert str(bag) == f"{root}/press/golden_pose_0.mcap"
+    root = "s3://lab/day"
+    found = [str(bag).removeprefix(root) for bag in find_bags([root])]
+    assert found == ["/old/old.db3", "/packed.csv.gz", "/press", "/table.csv"]
+    (bag,) = find_bags([f"{root}/pr*/*.mcap"])
+    assert str(bag) == f"{root}/press/golden_pose_0.mcap"
 
 
 def test_of_an_mcap_file_its_index_and_the_chunks_that_are_asked_for_are_read(s3, tmp_path):

@@ -5,41 +5,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from command_helpers import answer
-from recording_kinds import NEWTONS, PLAIN
+from recording_kinds import NEWTONS
 
+from fden_ros.cli import main
 from fden_ros.parameters import check
 from fden_ros.recording.source import Selection, open_source
 
 POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
 PRESS = Path(__file__).resolve().parents[1] / "examples" / "press.csv"
-
-
-@pytest.mark.parametrize(
-    ("headings", "said"),
-    [
-        ("time_s,force_N,depth_desired_mm", ["column depth_desired_mm is commanded by its head"]),
-        ("time_s,force_N,depth_mm", []),
-    ],
-)
-def test_a_column_that_was_only_commanded_is_said_to_be(
-    tmp_path: Path, headings: str, said: list[str]
-) -> None:
-    path = tmp_path / "press.csv"
-    path.write_text(f"{headings}\n" + PLAIN)
-    source = open_source(path, check({}))
-    assert [
-        warning[: len(words)] for warning, words in zip(source.warnings, said, strict=True)
-    ] == said
-    assert source.inputs["displacement"] == f"column {headings.split(',')[2]}"
-
-
-# A testing machine's recording
 
 
 def machine_rows(
@@ -119,11 +98,6 @@ def test_the_specimen_is_taken_from_the_preamble(
     assert (geometry.area, geometry.thickness) == (1e-4, 0.01)
 
 
-def replayed(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
-    result: dict[str, Any] = answer(capsys, "replay", *words)
-    return result
-
-
 def test_options_say_what_a_testing_machine_has_recorded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,15 +107,15 @@ def test_options_say_what_a_testing_machine_has_recorded(
         "Test," + NEWTONS + "".join(f"{name},{row}\n" for name in "ab" for row in rows.split())
     )
     sizes = ("--diameter", "50mm", "--height", "0.03")
-    found = replayed(capsys, path, "--from-touch", *sizes, "--rows", "Test=b")
+    found = answer(capsys, "replay", path, "--from-touch", *sizes, "--rows", "Test=b")
     assert found["samples"] == 300
     assert found["inputs"]["force"] == "column Load (N)"
     assert "force.measure_bias false" in " ".join(found["set_by_recording"])
     (contact,) = found["contacts"]
     assert not {"touch_not_observed", "geometry_unstated"} & set(contact["flags"])
     assert contact["g"] is not None
-    same = replayed(
-        capsys, path, "--from-touch", "--area", "1963.4954mm2", "--thickness", "3cm",
+    same = answer(
+        capsys, "replay", path, "--from-touch", "--area", "1963.4954mm2", "--thickness", "3cm",
         "--rows", "Test=b",
     )  # fmt: skip
     assert same["contacts"][0]["g"] == pytest.approx(contact["g"], rel=1e-6)
@@ -153,5 +127,24 @@ def test_the_air_of_a_recording_without_air_does_not_drift(
 ) -> None:
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows(offset=0.1, steps=600, slope=slope, curve=curve))
-    found = replayed(capsys, path, "--no-from-touch", "--diameter", "50mm", "--height", "30mm")
+    found = answer(
+        capsys, "replay", path, "--no-from-touch", "--diameter", "50mm", "--height", "30mm"
+    )
     assert not [line for line in found["warnings"] if "drifts in the air" in line]
+
+
+@pytest.mark.parametrize(("sign", "code"), [(1.0, 0), (-1.0, 3)])
+def test_a_touch_before_the_recording_leaves_the_slope_where_the_signs_are_right(
+    sign, code, tmp_path, capsys
+):
+    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1)
+    # From 0.1 s before the first touch to the air after it.
+    rows = rows[(rows[:, 0] > 1.83) & (rows[:, 0] < 5.0)] * [1.0, sign, sign]
+    path = tmp_path / "press.csv"
+    np.savetxt(path, rows, delimiter=",", header="time_s,force_N,depth_mm", comments="")
+    command = ["replay", path, "--config", PRESS.with_name("probe.yaml"), "--no-from-touch"]
+    assert main([*map(str, command), "--json"]) == code
+    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    assert "touch_not_observed" in contact["flags"]
+    # 43 N/m where the touch was observed.
+    assert sign < 0.0 or contact["measured_slope"] == pytest.approx(43.0, abs=2.0)

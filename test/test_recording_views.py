@@ -17,10 +17,10 @@ from typing import Any
 import yaml
 from rclpy.expand_topic_name import expand_topic_name
 
+from fden_ros.inputs import TYPE_NAMES
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import Parameters
 from fden_ros.recording.message_types import message_class
-from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.messages import type_name
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.ros.topics import OUTPUT_TOPICS

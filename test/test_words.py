@@ -17,6 +17,8 @@ from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
 
+from fden_ros.advice import FLAGS
+from fden_ros.advice import SOURCES as REMEDIES
 from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import (
@@ -37,7 +39,7 @@ from fden_ros.core.outputs import (
     TissueState,
 )
 from fden_ros.core.stiffness import MeasuredSlope, Slopes, apparent_stiffness_of
-from fden_ros.offline.advice import BY_FLAG, BY_SOURCE, findings, shortfall
+from fden_ros.offline.advice import findings, shortfall
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.message_types import decoder, serialize
@@ -192,7 +194,7 @@ def lacking(
     covariance[index, index] = deviation**2
     known = ParameterSet.ALL & ~(1 << index)
     variances = covariance[0, 0], covariance[1, 1]
-    parts = {name: (0.0, 0.0) for name in BY_SOURCE}
+    parts = {name: (0.0, 0.0) for name in REMEDIES}
     parts[source] = (0.9 * variances[0], 0.9 * variances[1])
     contact = summary(
         converged=False,
@@ -215,12 +217,12 @@ def lacking(
     return words, contact
 
 
-@pytest.mark.parametrize("source", BY_SOURCE)
+@pytest.mark.parametrize("source", REMEDIES)
 def test_the_largest_source_is_named_with_its_share_and_its_remedy(source):
     words, _ = lacking(source, 1, 0.12)
     assert words.startswith("Gn is known to 12 % only")
-    assert f"{BY_SOURCE[source].sentence} 90 %" in words
-    assert words.endswith(BY_SOURCE[source].remedy)
+    assert f"90 % of the variance: {REMEDIES[source].sentence}" in words
+    assert words.endswith(REMEDIES[source].remedy)
 
 
 def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
@@ -228,8 +230,36 @@ def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
     # Rejected samples are counted, and a limit of the prior is named by its parameter.
     for flag in set(Flag) - {Flag.INPUT_REJECTED, Flag.AT_PRIOR_LIMIT}:
         found = list(findings(summary(flags=flag), config))
-        assert found == [BY_FLAG[flag]] and found[0].remedy
+        assert found == [FLAGS[flag.name]] and found[0].remedy
     assert not list(findings(summary(), config))
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.06])
+def test_a_delay_is_named_first_and_goes_where_it_is_stated(delay):
+    scenario = Scenario(
+        seed=1,
+        geometry=Geometry(radius_m=RADIUS, thickness_m=0.02),
+        sites=(Site(tissue=Tissue(450.0, 9.0, 0.131), presses=(RampHold(0.2, 0.3, 1.5),)),),
+        force=ForceSensor(rate_hz=200.0, noise_n=2e-3),
+        displacement=DisplacementSensor(rate_hz=200.0, noise_m=5e-6),
+    )
+    late = [
+        item._replace(stamp_ns=item.stamp_ns + round(delay * 1e9 * item.stream))
+        for item in items_of(simulate(scenario))
+    ]
+    late.sort(key=lambda item: item.stamp_ns)
+    parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    (contact,) = summaries_of(identified(late, parameters)[1])
+    config = pipeline_config(check(parameters))
+    assert next(findings(contact, config)).sentence.startswith("delay")
+    assert "displacement.delay" in shortfall(contact, config)
+    stated = parameters | {"displacement.delay": delay}
+    (contact,) = summaries_of(identified(late, stated)[1])
+    assert not contact.flags
+    assert (
+        abs(math.log(contact.estimate.linear_stiffness / 450.0))
+        < 2 * contact.estimate.deviations[0]
+    )
 
 
 def test_a_hidden_surface_leaves_the_slope_of_the_force():

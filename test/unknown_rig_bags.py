@@ -92,10 +92,7 @@ class RigBag:
             channels = np.array([7.0, values[2], 9.0], dtype=np.float32)
             stamp = self.header(time, "").stamp
             return t["plc_msgs/msg/Loads"](stamp, device="plc", channels=channels, state=3)
-        twist = self.streams.torque[index] if self.streams.torque is not None else (0, 0, 0)
-        wrench = t["geometry_msgs/msg/Wrench"](
-            force=vector(*values), torque=vector(*(float(v) for v in twist))
-        )
+        wrench = t["geometry_msgs/msg/Wrench"](force=vector(*values), torque=vector(0.0, 0.0, 0.0))
         return t["geometry_msgs/msg/WrenchStamped"](self.header(time, "sensor"), wrench)
 
     def joints(self, time: float, positions: list[float], efforts: list[float]) -> Any:

@@ -11,6 +11,7 @@ and one lags the other. Nothing is shared with the findings.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -51,7 +52,6 @@ class RigTruth:
     delay: float  #: of the displacement's stamps behind the force's [s]
     compliance: float  #: [m/N]
     mass: float  #: that the sensor shows [kg]; 0: taken off by the driver
-    centre: Array  #: of mass in the sensor's frame [m]
     sensor_turned: bool  #: the poses are not the sensor's orientation
     sensor_sign: float  #: 1: the sensor measures what acts on the tool
     area: float  #: of the flat punch [m^2]
@@ -230,7 +230,6 @@ def _draw_rig(seed: int, draw: Generator) -> tuple[RigTruth, _Mount]:
         delay=float(draw.uniform(-5e-3, 30e-3)),
         compliance=0.0 if _chance(draw, 0.12) else _log_uniform(draw, 5e-6, 1e-3),
         mass=0.0 if is_joint or _chance(draw, 0.25) else float(draw.uniform(0.0, 1.0)),
-        centre=draw.uniform(-0.05, 0.05, 3),
         sensor_turned=sensor_turned,
         sensor_sign=sign,
         area=area,
@@ -386,18 +385,17 @@ class _Motion(NamedTuple):
 def _measure(truth: RigTruth, mount: _Mount, motion: _Motion, draw: Generator) -> Streams:
     force_times = motion.clock(truth.force_rate, draw)
     motion_times = motion.clock(truth.displacement_rate, draw)
-    force_values, torque = _wrench(truth, mount, motion, force_times, draw)
+    force_values = _wrench(truth, mount, motion, force_times, draw)
     position, orientation = _pose(truth, mount, motion, motion_times, draw)
     stamps = motion_times + truth.delay
     name = f"rig {truth.seed}"
-    return Streams(name, force_times, force_values, stamps, position, torque, orientation)
+    return Streams(name, force_times, force_values, stamps, position, orientation)
 
 
 def _wrench(
     truth: RigTruth, mount: _Mount, motion: _Motion, stamps: Array, draw: Generator
-) -> tuple[Array, Array | None]:
+) -> Array:
     pushed = np.interp(stamps, motion.times, motion.force)[:, None]
-    torque = None
     if truth.force_axis.size == 1:
         values = pushed * truth.force_axis
     else:
@@ -405,12 +403,10 @@ def _wrench(
         down = np.array([0.0, 0.0, -GRAVITY * truth.mass])
         weight = truth.sensor_sign * np.einsum("nji,j->ni", facing, down)
         on_tool = -truth.sensor_sign * np.einsum("nji,j->ni", facing, mount.into)
-        torque = np.cross(truth.centre, weight) + draw.normal(0.0, 1e-3, (stamps.size, 3))
         values = pushed * on_tool + weight
     noise = draw.normal(0.0, truth.force_noise, values.shape)
     drifted = truth.drift * (stamps - motion.times[0])[:, None]
-    values = _stepped(values + truth.bias + drifted + noise, truth.force_step)
-    return values, None if torque is None else torque
+    return _stepped(values + truth.bias + drifted + noise, truth.force_step)
 
 
 def _pose(
@@ -481,10 +477,6 @@ def judge(found: Survey, truth: RigTruth) -> Judged:
             errors[name] = [(finding.value - true) / finding.deviation]
             if abs(finding.value - true) > limit:
                 misses.append((name, f"{finding.value:.4g} for {true:.4g}"))
-    centre = findings["tool centre of mass"]
-    if centre.claim and centre.deviation:
-        off_centre = (np.array(centre.value) - truth.centre) / centre.deviation
-        errors[centre.subject] = off_centre.tolist()
     shown = {"compliance": truth.rigid, "tool mass": truth.turns}
     unfounded = [name for name, is_so in shown.items() if findings[name].claim and not is_so]
     return Judged(truth.seed, errors, misses, list(findings), unfounded)
@@ -513,6 +505,7 @@ def _numbers(
     if axis.claim and not (truth.mass and not truth.turns):
         along = np.atleast_1d(np.array(axis.value))
         if bias.claim:
-            middle = 0.5 * sum(bias.seconds[0])
+            first, last = map(float, re.findall(r"[\d.]+(?= to| s,)", bias.evidence)[:2])
+            middle = 0.5 * (first + last)
             yield "force bias", float((truth.bias + truth.drift * middle) @ along), math.inf
         yield "force drift", float(truth.drift @ along), math.inf

@@ -14,7 +14,7 @@ from fden_ros.commands.inputs import parameters_of, selection_of
 DESCRIPTION = """\
 Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
 table (CSV), a row a contact. One that cannot be used, or a place without any, is a row with its
-error. What is in the table with this configuration is not done again.
+error. What is in the table is not done again; one of other parameters is refused.
 """
 
 EPILOG = """\
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
         try:
             if args.scheduler and left:
-                made = workers.cluster(args.scheduler, str(left[0]), _say)
+                made = workers.cluster(args.scheduler, _say)
             else:
                 made = workers.local(args.workers)
             with made as pool:

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fden_ros.commands.command import print_json, write
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Find out from a recording: axes and signs, units, rates, noise, bias, drift, the delay between
 force and displacement, the compliance and the weight of the tool. Each finding has its standard
-deviation and the seconds it rests on. What the recording cannot show is listed, with the motion
-that would show it. The parameter file that comes out is commented.
+deviation. What the recording cannot show is listed, with the motion that would show it. The
+parameter file that comes out is commented.
 """
 
 EPILOG = """\
@@ -47,12 +47,10 @@ EXIT_CODES = {0: "a file was proposed"}
 def run(args: argparse.Namespace) -> int:
     """Read, find out, print and write; return the exit code."""
     from fden_ros.configure.robots import robot_named, robot_notes
-    from fden_ros.configure.writer import parameter_file, replay_command, replay_problems
+    from fden_ros.configure.writer import parameter_file, replay_problems
 
     _check(args)
     robot = robot_named(args.robot) if args.robot else None
-    if robot is not None and not args.recordings:
-        return _from_conventions(args.output, robot)
     readings, found = _read(args, robot)
     notes = robot_notes(robot, found) if robot is not None else []
     if args.output is not None:
@@ -70,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
     if args.output is None:
         print("Next: the same with -o probe.yaml")
     else:
-        print(f"Next: {replay_command(str(args.output), readings[-1])}")
+        recording, config = shlex.quote(str(readings[-1].path)), shlex.quote(str(args.output))
+        print(f"Next: fden replay {recording} --config {config}")
     return 0
 
 
@@ -78,10 +77,7 @@ def result_object(found: Survey, readings: Sequence[Reading]) -> dict[str, Any]:
     """Return what ``--json`` prints."""
     from fden_ros.configure.writer import parameter_values, replay_problems
 
-    names = (
-        *("subject", "claim", "value", "deviation", "probability", "unit", "seconds"),
-        *("evidence", "motion"),
-    )
+    names = ("subject", "claim", "value", "deviation", "probability", "unit", "evidence", "motion")
     return {
         "inputs": [
             {
@@ -102,10 +98,6 @@ def _check(args: argparse.Namespace) -> None:
     """Refuse arguments that do not go together."""
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     for is_wrong, words in (
-        (
-            not (args.recordings or args.robot),
-            "name a recording, or a robot with --robot",
-        ),
         (unknown, f"--rigid {' '.join(unknown)} is none of the recordings"),
         (
             args.sphere is not None and args.flat_punch is not None,
@@ -141,22 +133,10 @@ def _indenter(args: argparse.Namespace) -> dict[str, float | str] | None:
     return stated or None
 
 
-def _from_conventions(output: Path | None, robot: Robot) -> int:
-    from fden_ros.configure.robots import robot_file
-
-    text = robot_file(robot)
-    if output is None:
-        print(text, end="")
-        return 0
-    write(output, lambda path: path.write_text(text, encoding="utf-8"))
-    print(f"wrote {output}")
-    print(f"Next: record a press, then fden configure --robot {robot.name} RECORDING")
-    return 0
-
-
 def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading], Survey]:
     from fden_ros.configure.reading import read
     from fden_ros.configure.robots import robot_selection
+    from fden_ros.configure.survey import survey
     from fden_ros.recording.reader import BagReader
     from fden_ros.recording.source import is_table
 
@@ -165,31 +145,20 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading],
     for path in args.recordings:
         selection = given
         if robot is not None and not is_table(path, given):
-            selection = robot_selection(robot, str(path), BagReader(path).topics, given)
-        readings.append(read(path, selection, args.frames))
-        if readings[-1].streams.shape != readings[0].streams.shape:
+            selection = robot_selection(robot, BagReader(path).topics, given)
+        readings.append(read(path, selection))
+        kinds = {(r.streams.force.shape[1], r.streams.position.shape[1]) for r in readings}
+        if len(kinds) > 1:
             raise InputError(
                 f"{path} is of another kind than {readings[0].path}: recordings of one "
                 "rig have the same types"
             )
-    return readings, _survey(args, readings)
-
-
-def _survey(args: argparse.Namespace, readings: Sequence[Reading]) -> Survey:
-    from rich.console import Console
-
-    from fden_ros.configure.survey import survey
-
-    rigid = [str(path) for path in args.rigid]
-    with Console(stderr=True).status("looking") as status:
-        return survey(
-            [reading.streams for reading in readings],
-            _indenter(args),
-            rigid,
-            status.update,
-            one_place=args.one_place,
-            units=readings[0].units,
-        )
+    return readings, survey(
+        [reading.streams for reading in readings],
+        _indenter(args),
+        [str(path) for path in args.rigid],
+        readings[0].units,
+    )
 
 
 def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:

@@ -54,11 +54,6 @@ _UNITS = {
     "x_c": ("xc", "s^-α"),
     "f_c": ("fc", "Pa s^α"),
 }
-_TITLES = {
-    "slope": "by the slope of |G*|",
-    "phase": "by the phase",
-    "coefficients": "by one coefficient a curve",
-}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -95,9 +90,6 @@ def _print(fit: Fit, path: Path) -> None:
     quality = f"R² {fit.r_squared:.4f}" if math.isfinite(fit.r_squared) else "R² undefined"
     title = f"{fit.kind}: {path.name}, {fit.samples} rows, {quality}"
     console.print(_table(title, fit.parameters))
-    for name, parameters in fit.beside.items():
-        if parameters:
-            console.print(_table(f"beside it: {_TITLES[name]}", parameters))
     for warning in fit.warnings:
         console.print(f"[yellow]warning:[/yellow] {warning}", soft_wrap=True)
 

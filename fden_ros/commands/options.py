@@ -86,7 +86,7 @@ def _columns(text: str) -> Any:
 
 def _size(text: str, quantity: str = "displacement") -> float:
     """Return a size in SI units, from a number with or without its unit."""
-    from fden_ros.recording.units import factor_of
+    from fden_ros.recording.headings import factor_of
 
     match = re.fullmatch(r"\s*([\d.]+(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?", text)
     factor = factor_of(quantity, match[2] or ("m2" if quantity == "area" else "m")) if match else 0
@@ -248,7 +248,7 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
         Group("what the file does not say", _FIT),
     ),
     "configure": (
-        _option("recordings", "bags or tables of one rig", Path, "RECORDING", nargs="*"),
+        _option("recordings", "bags or tables of one rig", Path, "RECORDING", nargs="+"),
         _output("parameter file to write"),
         _option(
             "--robot",
@@ -258,8 +258,6 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
         ),
         JSON,
         _option("--rigid", "of something rigid", Path, "RECORDING", action="append", default=[]),
-        _option("--one-place", "all presses are of one place (site.without_position)", bool),
-        _option("--frames", "displacement: path of PROBE in BASE, by /tf", str, "BASE,PROBE"),
         Group("the indenter, which no recording shows", _INDENTER),
         SELECTION,
     ),

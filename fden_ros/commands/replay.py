@@ -17,7 +17,6 @@ from fden_ros.commands.inputs import (
 )
 
 if TYPE_CHECKING:
-    from fden_ros.core.outputs import ContactSummary
     from fden_ros.offline.replay import Replay
     from fden_ros.parameters import Parameters
 
@@ -46,7 +45,7 @@ The configuration is the identifier node's own parameter file.
 
 #: What its exit codes say next to those of all commands.
 EXIT_CODES = {
-    0: "a contact is converged, or N/m is known",
+    0: "a contact is converged, or N/m or a slope is known",
     _NOTHING_IDENTIFIED: "nothing was identified (the last line says why)",
 }
 
@@ -109,6 +108,7 @@ def _shown(result: Replay, as_json: bool) -> int:
 def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     """Return what the contacts lack that have not converged, a line each."""
     from fden_ros.offline.advice import against_the_law, shortfall
+    from fden_ros.offline.known import known_alone
     from fden_ros.parameters import pipeline_config
 
     if parameters.core.is_continuous or result.has_strokes:
@@ -118,7 +118,7 @@ def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     for summary in result.summaries:
         words = shortfall(summary, config)
         if summary.contact_id in result.with_stiffness_alone:
-            words = f"{_stiffness(summary)}; G and Gn are not: " + (
+            words = f"{known_alone(summary)} is known; G and Gn are not: " + (
                 words or against_the_law(summary)
             )
         if words:
@@ -126,21 +126,12 @@ def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     return lines
 
 
-def _stiffness(summary: ContactSummary) -> str:
-    from fden_ros.report.numbers import stiffness
-
-    slope = summary.measured.loading
-    if slope is None:
-        return f"{stiffness(summary.apparent_stiffness, 4)} N/m are known"
-    return f"{stiffness(slope, 4)} N/m are known, as measured"
-
-
 def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
 
     from fden_ros.offline.replay import result_object
-    from fden_ros.report.numbers import measured_words
+    from fden_ros.report.numbers import slope_words
     from fden_ros.report.table import contact_table
 
     if as_json:
@@ -153,8 +144,8 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
         )
     else:
         console.print(contact_table(result.summaries, result.with_stiffness_alone))
-    if unseen := measured_words(result.measured_unseen):
-        console.print(f"no contact, but measured: {unseen}")
+    if unseen := result.measured_unseen.loading:
+        console.print(f"no contact, but a slope: {slope_words(unseen)}")
     used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
         f"{result.samples:,} samples, {sum(result.rejected.values()):,} rejected; {escape(used)}"

@@ -15,10 +15,10 @@ from fden_ros.commands.inputs import (
 )
 
 DESCRIPTION = """\
-Replay a recording and write a page on it. Each contact has force and depth, the fitted law with
-its band, the estimates converging, the innovations with their test, and the classification. A
-comparison of the contacts follows, and a map where there are positions. The page says what the
-data do not allow to conclude. One file, no network; light, dark and print.
+Replay a recording and write a page on it: the stiffness first, then a table and a comparison of
+the contacts, with a map where there are positions. Each contact has force and depth, the fitted
+law with its band, the estimates converging and the classification. The page says what the data do
+not allow to conclude. One file, no network; light, dark and print.
 """
 
 EPILOG = """\

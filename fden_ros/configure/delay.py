@@ -3,115 +3,162 @@
 
 """The delay between force and displacement, from what answers at once, or from bends of tissue.
 
-A tool's weight turns with the poses at once, and a rigid plate answers at once: these tell it to
-half a millisecond. Presses of tissue tell it to some 7 ms. Where none of them does, a filter that
-the force's noise shows is the least of it.
+A tool's weight turns with the poses at once, and a rigid plate answers at once: these show it to
+half a millisecond. Presses of tissue show it to some 7 ms: the elements of
+:mod:`fden_ros.configure.signs` follow any relaxation, and answer at each bend of the motion at
+once, so the delay with which they fit best is that of the stamps, where the others are excluded.
+Otherwise a filter that the force's noise shows is the least of it.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.configure.filtering import Filter
-from fden_ros.configure.finding import Finding, Seconds, unknown
-from fden_ros.configure.lag import Lag
+from fden_ros.configure.axes import Axes
+from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.rigid import Press
-from fden_ros.configure.statistics import pooled
+from fden_ros.configure.sampling import Filter
+from fden_ros.configure.session import Contact, Session
+from fden_ros.configure.signs import LEAST_RATIO, contact_fit, independent
+from fden_ros.configure.streams import pooled
 from fden_ros.configure.weight import Weight
+from fden_ros.core.arrays import Array
 from fden_ros.parameters import Value
 
 #: A delay is claimed up to this deviation [s]: 1 ms is then two of them.
 _LARGEST_SD = 5e-4
-#: Least deviation of a source, and in the file [s].
-_LEAST_SD, _FILE_SD = 2e-5, 1e-4
-#: Largest deviation in the file [s]: to this the estimator is linear in a delay.
-_MOST_FILE_SD = 0.01
-#: A delay of tissue or of a filter is written from so many deviations on.
-_CLEAR = 3.0
-#: Sources that are further apart than this many deviations contradict each other.
-_APART = 4.0
+#: Least deviation of a source, least and largest in the file [s]: to this the estimator is linear.
+_LEAST_SD, _FILE_SD, _MOST_FILE_SD = 2e-5, 1e-4, 0.01
+#: A delay of tissue or of a filter is written from so many deviations on; sources that are
+#: further apart than this many contradict each other.
+_CLEAR, _APART = 3.0, 4.0
+#: Delays that are tried on tissue, and the steps between them near the best [s].
+_DELAYS, _STEP = np.arange(-0.14, 0.161, 0.02), 0.005
+#: A delay so far from the best [s] is excluded, or relaxation cannot be separated from it.
+_EXCLUDED = 0.04
+#: Times of relaxation [s], and knots of the depth.
+_RELAXATION, _KNOTS = (0.01, 0.05, 0.3, 2.0), 7
+#: Presses that are looked at, for so long each [s], and samples a second of it.
+_PRESSES, _LONGEST, _RATE = 2, 8.0, 200.0
+#: Air before and after a press [s].
+_AIR = 0.5
+#: What a fit may leave: deviations of the noise, or a part of the force's range.
+_MOST_NOISE, _MOST_PART = 3.0, 0.005
+#: What the relaxation of a power law over these elements moves the delay [s].
+_LAW_SD = 0.007
 
 
 class _Source(NamedTuple):
-    """What tells the delay, and the delay that it tells [s]."""
+    """What shows the delay, and the delay that it shows [s]."""
 
     name: str
     value: float
     sd: float
-    seconds: Seconds
 
 
 def delay_finding(
     weight: Weight | None,
     presses: Sequence[Press],
-    in_tissue: Callable[[], Lag | None],
+    sessions: Sequence[Session],
+    axes: Axes,
     filtered: Filter | None,
 ) -> Finding:
-    """Return the delay of the displacement's stamps behind the force's.
-
-    `in_tissue` returns what tissue shows, and is called where nothing answers at once.
-    """
-    sources = _at_once(weight, presses)
-    good = [source for source in sources if source.sd < _LARGEST_SD]
-    if good:
-        return _combined(good)
-    if lag := in_tissue():
-        name = f"the bends of {lag.presses} press{'es' * (lag.presses > 1)} of tissue"
-        return _stated(_Source(name, lag.value, lag.sd, lag.seconds))
-    if filtered is not None:
-        name = "the force's filter alone, which its noise in the air shows"
-        return _stated(_Source(name, -filtered.delay, filtered.sd, ()))
-    if not sources:
-        return unknown("delay", "nothing in it happens at once")
-    best = min(sources, key=lambda source: source.sd)
-    said = f"{1e3 * best.value:.1f} ± {1e3 * best.sd:.1g} ms from {best.name} is too uncertain"
-    return unknown("delay", said)
-
-
-def _stated(source: _Source) -> Finding:
-    """Return a delay that is known to some milliseconds: the default stays within its error."""
-    found = Finding("delay", source.value, source.sd, f"from {source.name}", source.seconds)
-    if abs(source.value) < _CLEAR * source.sd:
-        return replace(found, evidence=f"{found.evidence}; within it the default of 0 stays")
-    return replace(found, parameters=_values(source.value, source.sd))
-
-
-def _values(value: float, sd: float) -> dict[str, Value]:
-    return {
-        "displacement.delay": round(value, 6),
-        "displacement.delay_sd": round(min(max(sd, _FILE_SD), _MOST_FILE_SD), 6),
-    }
-
-
-def _at_once(weight: Weight | None, presses: Sequence[Press]) -> list[_Source]:
-    """Return what answers at once: the weight in turns, and something rigid."""
+    """Return the delay of the displacement's stamps behind the force's."""
     sources = []
     if weight is not None and weight.is_clear:
         sd = math.hypot(weight.delay_sd, _LEAST_SD)
-        sources.append(_Source("the tool's weight in turns", weight.delay, sd, weight.seconds))
+        sources.append(_Source("the tool's weight in turns", weight.delay, sd))
     if presses:
         sds = np.hypot([press.delay_sd for press in presses], _LEAST_SD)
-        delay, sd = pooled([press.delay for press in presses], sds)
-        seconds = tuple(press.session.seconds((press.contact,))[0] for press in presses)
-        sources.append(_Source("rigid presses", delay, sd, seconds))
-    return sources
-
-
-def _combined(sources: Sequence[_Source]) -> Finding:
-    for one, other in itertools.combinations(sources, 2):
+        found = pooled([press.delay for press in presses], sds)
+        sources.append(_Source("rigid presses", *found))
+    good = [source for source in sources if source.sd < _LARGEST_SD]
+    for one, other in itertools.combinations(good, 2):
         if abs(one.value - other.value) > _APART * math.hypot(one.sd, other.sd):
-            return unknown(
-                "delay",
-                f"{one.name} say {1e3 * one.value:.2f} ms, {other.name} "
-                f"{1e3 * other.value:.2f} ms: it is not constant, or a filter is on",
-            )
-    value, sd = pooled([one.value for one in sources], [one.sd for one in sources])
-    seconds = tuple(span for source in sources for span in source.seconds)
-    names = "from " + " and ".join(source.name for source in sources)
-    return Finding("delay", value, sd, names, seconds, parameters=_values(value, sd))
+            words = [f"{1e3 * s.value:.2f} ms from {s.name}" for s in (one, other)]
+            return unknown("delay", f"{' but '.join(words)}: not constant, or a filter is on")
+    if good:
+        found = pooled([one.value for one in good], [one.sd for one in good])
+        return _stated(" and ".join(one.name for one in good), *found, least=0.0)
+    if of_tissue := _of_tissue(sessions, axes):
+        return _stated(*of_tissue)
+    if filtered is not None:
+        name = "the force's filter alone, which its noise in the air shows"
+        return _stated(name, -filtered.delay, filtered.sd)
+    words = [
+        f"{1e3 * one.value:.1f} ± {1e3 * one.sd:.1g} ms from {one.name} is too uncertain"
+        for one in sources
+    ]
+    return unknown("delay", "; ".join(words) or "nothing in it happens at once")
+
+
+def _stated(name: str, value: float, sd: float, least: float = _CLEAR) -> Finding:
+    """Return a delay; the default of 0 stays within so many deviations."""
+    if abs(value) < least * sd:
+        return Finding("delay", value, sd, f"from {name}; within it the default of 0 stays")
+    values: dict[str, Value] = {
+        "displacement.delay": round(value, 6),
+        "displacement.delay_sd": round(min(max(sd, _FILE_SD), _MOST_FILE_SD), 6),
+    }
+    return Finding("delay", value, sd, f"from {name}", parameters=values)
+
+
+def _of_tissue(sessions: Sequence[Session], axes: Axes) -> _Source | None:
+    """Return the delay that presses of tissue show; None: it may be relaxation."""
+    if axes.force is None or axes.displacement is None:
+        return None
+    into, grows = axes.displacement.direction, axes.force.direction
+    contacts = ((s, contact) for s in sessions if s.leaves for contact in s.contacts)
+    found = [_of_press(*one, grows, into) for one in itertools.islice(contacts, _PRESSES)]
+    delays = [delay for delay in found if delay is not None]
+    if not delays or len(delays) < len(found):
+        return None
+    value, sd = pooled(delays, [_LAW_SD] * len(delays))
+    name = f"the bends of {len(delays)} press{'es' * (len(delays) > 1)} of tissue"
+    return _Source(name, value, max(sd, _LAW_SD))
+
+
+def _of_press(session: Session, contact: Contact, grows: Array, into: Array) -> float | None:
+    """Return the delay of one press [s]; None where another fits nearly as well."""
+    streams = session.streams
+    rate = min(_RATE, 1.0 / float(np.median(np.diff(streams.force_times))))
+    margin = float(_DELAYS[-1])
+    start = max(contact.start - _AIR, streams.start + margin)
+    end = min(contact.end + _AIR, contact.start + _LONGEST, streams.end - margin)
+    times = np.arange(start, end, 1.0 / rate)
+    if times.size < 2 * _KNOTS * len(_RELAXATION):
+        return None
+    push = np.interp(times, streams.force_times, session.unloaded @ grows)
+    depth = streams.position @ into
+    inside = depth[(streams.motion_times > contact.start) & (streams.motion_times < end)]
+    touch = np.interp(contact.start, streams.motion_times, depth)
+    reach = float(inside.max() - touch) if inside.size else 0.0
+    knots = touch + reach * np.linspace(-0.15, 1.0, _KNOTS, endpoint=False)
+
+    def fitted(delay: float) -> Array:
+        moved = np.interp(times + delay, streams.motion_times, depth)
+        return contact_fit(times, push, moved, knots, _RELAXATION)[0]
+
+    tried = {float(delay): fitted(float(delay)) for delay in _DELAYS}
+    best = min(tried, key=lambda delay: float(tried[delay] @ tried[delay]))
+    for more in np.arange(-3.0, 4.0) * _STEP:
+        tried[best + float(more)] = fitted(best + float(more))
+    misfits = {delay: float(left @ left) for delay, left in tried.items()}
+    best = min(misfits, key=lambda delay: misfits[delay])
+    # A press that the elements do not describe shows no delay.
+    noise = float(np.linalg.norm(session.force_noise * grows))
+    most = max(_MOST_NOISE * noise, _MOST_PART * float(np.ptp(push)))
+    if math.sqrt(misfits[best] / times.size) > most:
+        return None
+    count = 0.5 * independent(tried[best])
+    apart = [d for d in misfits if abs(d - best) >= _EXCLUDED]
+    sides = [[misfits[d] for d in apart if (d > best) is later] for later in (False, True)]
+    if not all(sides):
+        return None
+    odds = count * math.log(min(map(min, sides)) / max(misfits[best], 1e-300))
+    return best if odds > math.log(LEAST_RATIO) else None

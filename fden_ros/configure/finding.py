@@ -1,66 +1,50 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One thing that a recording says of the probe, or does not, and all that it may be of."""
+"""One thing that a recording shows of the probe, or does not, and all that it may be of."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fden_ros.parameters import Value
 
 Number = float | tuple[float, ...]
-Seconds = tuple[tuple[float, float], ...]
 
 _AIR = "begin with 2 s in the air, and lift off between presses"
 _STILL = "hold still in the air for 2 s"
-PRESS = (
-    "press tissue three times by 3 mm or more, along one line, and lift off by as much in between"
-)
-TURN = (
+_PRESS = "press tissue three times by 3 mm or more, along one line, and lift off in between"
+_TURN = (
     "turn the tool in the air, slowly, through three orientations 60 degrees apart about two "
     "axes, with a second of rest at each"
 )
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What a finding is of.
+class Subject(NamedTuple):
+    """What a finding is of; empty where it has none."""
 
-    Parameters
-    ----------
-    unit : str
-        SI unit; empty where there is none.
-    group : str
-        Of the parameters that it sets; empty where it sets none of its own.
-    motion : str
-        What to do so that a recording tells.
-    """
-
-    unit: str = ""
-    group: str = ""
-    motion: str = ""
+    unit: str = ""  #: SI unit
+    group: str = ""  #: of the parameters that it sets
+    motion: str = ""  #: what to do so that a recording shows it
 
 
-#: In the order in which they are said.
+#: In their order of output.
 SUBJECTS: Mapping[str, Subject] = {
-    "force axis": Subject("rad", "force", PRESS),
-    "displacement axis": Subject("rad", "displacement", PRESS),
+    "force axis": Subject("rad", "force", _PRESS),
+    "displacement axis": Subject("rad", "displacement", _PRESS),
     "force unit": Subject(),
     "displacement unit": Subject(),
     "force rate": Subject("Hz"),
     "force noise": Subject("N", motion=_STILL),
-    "force resolution": Subject("N"),
     "force filter": Subject("s"),
     "displacement rate": Subject("Hz"),
     "displacement noise": Subject("m", motion=_STILL),
-    "displacement resolution": Subject("m"),
     "lift-off": Subject(motion="press tissue, and lift off"),
     "force bias": Subject("N", motion=_AIR),
     "force drift": Subject("N/s", "force", _AIR),
-    "tool mass": Subject("kg", "tool", TURN),
-    "tool centre of mass": Subject("m", "tool", TURN),
+    "tool mass": Subject("kg", "tool", _TURN),
     "delay": Subject(
         "s",
         "displacement",
@@ -73,7 +57,6 @@ SUBJECTS: Mapping[str, Subject] = {
         "press a rigid plate twice, slowly, to the largest force of your presses, and press "
         "tissue in the same recording (or state --rigid for a recording of a plate)",
     ),
-    "place": Subject("", "site", "state --one-place where all presses are of one"),
     "indenter": Subject(
         "", "geometry", "state the indenter: --flat-punch AREA, or --sphere R, with --thickness H"
     ),
@@ -82,42 +65,18 @@ SUBJECTS: Mapping[str, Subject] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found, how sure it is, and where from.
+    """What was found, how sure it is, and from what."""
 
-    Parameters
-    ----------
-    subject : str
-        One of `SUBJECTS`.
-    value : float, tuple of float, str or None
-        In the unit of the subject; None where nothing is known.
-    deviation : float, optional
-        Standard deviation, of each component (of an axis: of its direction, in rad).
-    evidence : str
-        What shows it, in one line.
-    seconds : tuple of (float, float)
-        Of the recording that it rests on, as from and to since its first stamp [s].
-    motion : str
-        What to do so that the next recording tells.
-    parameters : mapping
-        Values of the parameter file, by dotted name.
-    probability : float, optional
-        Of a sign, from the data.
-    own_unit : str
-        That of value and deviation where it is the recording's own; empty: the SI unit.
-    claim : bool
-        Whether it is stated; False: the recording cannot tell, and `motion` says what would.
-    """
-
-    subject: str
-    value: Number | str | None = None
+    subject: str  #: one of `SUBJECTS`
+    value: Number | str | None = None  #: None where nothing is known
+    #: Standard deviation of each component (of an axis: of its direction [rad]).
     deviation: float | None = None
-    evidence: str = ""
-    seconds: Seconds = ()
-    motion: str = ""
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    claim: bool = True
-    probability: float | None = None
-    own_unit: str = ""
+    evidence: str = ""  #: what shows it, in one line
+    motion: str = ""  #: what to do so that the next recording shows it
+    parameters: Mapping[str, Value] = field(default_factory=dict)  #: by dotted name
+    claim: bool = True  #: False: the recording cannot tell, and `motion` says what would
+    probability: float | None = None  #: of a sign, from the data
+    own_unit: str = ""  #: of value and deviation where it is the recording's own
 
     @property
     def unit(self) -> str:
@@ -131,8 +90,7 @@ def unknown(
     motion: str = "",
     value: Number | None = None,
     deviation: float | None = None,
-    seconds: Seconds = (),
 ) -> Finding:
     """Return the finding that the recording cannot tell; by default with the subject's motion."""
     motion = motion or SUBJECTS[subject].motion
-    return Finding(subject, value, deviation, evidence, seconds, motion, claim=False)
+    return Finding(subject, value, deviation, evidence, motion, claim=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -16,7 +16,7 @@ from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.sampling import step_of
 from fden_ros.configure.session import Contact, Session
-from fden_ros.configure.statistics import pooled
+from fden_ros.configure.streams import pooled
 from fden_ros.core.arrays import Array
 from fden_ros.experiments.regression import linear
 
@@ -34,63 +34,37 @@ _LEAST_SAMPLES = 15
 _MOST_NOISE, _MOST_PART = 1.5, 0.02
 #: The probe comes and leaves within this time [s], by more than 10 deviations of the noise, and
 #: the recording goes on around it for some chunks.
-_COMES = 1.0
-_CLEAR = 10.0
-_AROUND = 5
+_COMES, _CLEAR, _AROUND = 1.0, 10.0, 5
 #: A rigid press is this many times as stiff as the softest contact of the recordings.
 STIFFER = 3.0
-#: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations.
-_LARGEST_PART = 0.04
-#: Least deviation, relative, in the file: a tool bends differently at other places.
-_LEAST_PART = 0.02
+#: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations. The
+#: file has at least this one: a tool bends differently at other places.
+_LARGEST_PART, _LEAST_PART = 0.04, 0.02
 
 
-@dataclass(frozen=True)
-class Press:
-    """A contact as a line of displacement over force, the delay fitted with it.
-
-    Parameters
-    ----------
-    session, contact
-        Where it is.
-    compliance, compliance_sd : float
-        Slope [m/N].
-    delay, delay_sd : float
-        Of the displacement behind the force [s].
-    is_rigid : bool
-        Whether the line is all there is (no relaxation, no bend, no loop), and the probe came,
-        pressed and left: a surface that comes to a probe at rest shows nothing of the tool.
-    stiffness : float
-        Largest force over stroke [N/m].
-    """
+class Press(NamedTuple):
+    """A contact as a line of displacement over force, the delay fitted with it."""
 
     session: Session
-    contact: Contact
-    compliance: float
+    compliance: float  #: slope of the line [m/N]
     compliance_sd: float
-    delay: float
+    delay: float  #: of the displacement behind the force [s]
     delay_sd: float
+    #: Whether the line is all there is (no relaxation, no bend, no loop), and the probe came,
+    #: pressed and left: a surface that comes to a probe at rest shows nothing of the tool.
     is_rigid: bool
-    stiffness: float
+    stiffness: float  #: largest force over stroke [N/m]
 
 
 def rigid_presses(
     sessions: Sequence[Session], axes: Axes, named: Collection[str] = ()
 ) -> tuple[Press, ...]:
-    """Return the presses on something rigid.
-
-    Parameters
-    ----------
-    sessions : sequence of Session
-        In SI units.
-    axes : Axes
-    named : collection of str
-        Recordings of which it is known that something rigid was pressed.
-    """
+    """Return the presses on something rigid, of any contact or of the recordings `named`."""
     if axes.force is None or axes.displacement is None:
         return ()
+    grows, into = axes.force.direction, axes.displacement.direction
     contacts = [(s, contact) for s in sessions if s.leaves for contact in s.contacts]
-    presses = [press for one in contacts if (press := _press(*one, axes)) is not None]
+    presses = [press for one in contacts if (press := _press(*one, grows, into)) is not None]
     softest = min((press.stiffness for press in presses), default=math.inf)
 
     def is_stiff(press: Press) -> bool:
@@ -100,14 +74,13 @@ def rigid_presses(
     return tuple(press for press in presses if press.is_rigid and is_stiff(press))
 
 
-def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
-    assert axes.force is not None and axes.displacement is not None
-    streams, into = session.streams, axes.displacement.direction
+def _press(session: Session, contact: Contact, grows: Array, into: Array) -> Press | None:
+    streams = session.streams
     near = np.abs(streams.force_times - 0.5 * (contact.start + contact.end))
     near = near < 0.5 * (contact.end - contact.start) + 0.3
     times = streams.force_times[near]
-    level = np.interp(times, session.times, session.baseline @ axes.force.direction)
-    push = session.unloaded[near] @ axes.force.direction - level
+    level = np.interp(times, session.times, session.baseline @ grows)
+    push = session.unloaded[near] @ grows - level
     inside = (streams.motion_times > contact.start) & (streams.motion_times < contact.end)
     stamps, moved = streams.motion_times[inside], streams.position[inside] @ into
     if stamps.size < 20 or push.size < 20:
@@ -117,9 +90,8 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
 
     def design(delay: float, force: tuple[Array, Array]) -> tuple[Array, Array]:
         """Return line, delay and level as columns, and the motion, where the force counts."""
-        at = stamps - delay
-        chosen = np.interp(at, grid, smooth) > _LEAST_PUSH * float(push.max())
-        at = at[chosen]
+        chosen = np.interp(stamps - delay, grid, smooth) > _LEAST_PUSH * float(push.max())
+        at = stamps[chosen] - delay
         columns = [np.interp(at, *force), np.interp(at, grid, rate), np.ones(at.size)]
         return np.stack(columns, axis=1), moved[chosen]
 
@@ -127,10 +99,7 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         columns, motion = design(delay, (grid, smooth))
         return linear(columns[:, ::2], motion).rms if motion.size >= _LEAST_SAMPLES else math.inf
 
-    misfits = [misfit(float(delay)) for delay in _DELAYS]
-    if not np.isfinite(misfits).any():
-        return None
-    delay = float(_DELAYS[int(np.argmin(misfits))])
+    delay = float(min(_DELAYS, key=misfit))
     for step in range(_STEPS):
         # An average flattens bends, so the slope at last is that over the force as it is.
         force = (grid, smooth) if step < _STEPS - 1 else (times, push)
@@ -138,17 +107,15 @@ def _press(session: Session, contact: Contact, axes: Axes) -> Press | None:
         if motion.size < _LEAST_SAMPLES:
             return None
         found = linear(columns, motion)
-        slope = float(found.values[0])
-        late = -float(found.values[1]) / (slope if abs(slope) > 1e-12 else 1e-12)
-        delay = min(max(delay + late, float(_DELAYS[0])), float(_DELAYS[-1]))
+        slope, late, _ = found.values.tolist()
+        delay -= late / (slope if abs(slope) > 1e-12 else 1e-12)
+        delay = min(max(delay, float(_DELAYS[0])), float(_DELAYS[-1]))
     sds = found.sds
-    noise = float(np.linalg.norm(session.motion_noise * into))
-    steps = [step_of(column) or 0.0 for column in streams.position.T]
-    noise = max(noise, max(steps) / math.sqrt(12.0))
+    coarse = max(step_of(column) for column in streams.position.T) / math.sqrt(12.0)
+    noise = max(float(np.linalg.norm(session.motion_noise * into)), coarse)
     limit = max(_MOST_NOISE * noise, _MOST_PART * abs(slope) * float(np.ptp(push)))
     return Press(
         session,
-        contact,
         slope,
         float(sds[0]),
         delay,
@@ -168,27 +135,24 @@ def _smoothed(times: Array, push: Array) -> tuple[Array, Array]:
 
 
 def _is_whole(session: Session, contact: Contact, into: Array, noise: float) -> bool:
-    along = session.position @ into
-    before = (session.times > contact.start - _COMES) & (session.times <= contact.start + 0.1)
-    after = (session.times >= contact.end - 0.1) & (session.times < contact.end + _COMES)
-    if contact.first < _AROUND or contact.last > session.times.size - _AROUND:
+    along, times = session.position @ into, session.times
+    if contact.first < _AROUND or contact.last > times.size - _AROUND:
         return False
-    return bool(min(np.ptp(along[before]), np.ptp(along[after])) > _CLEAR * noise)
+    before = along[(times > contact.start - _COMES) & (times <= contact.start + 0.1)]
+    after = along[(times >= contact.end - 0.1) & (times < contact.end + _COMES)]
+    return bool(min(np.ptp(before), np.ptp(after)) > _CLEAR * noise)
 
 
 def compliance_finding(presses: Sequence[Press]) -> Finding:
     """Return the compliance, or its bound where it is too small to measure."""
     if not presses:
         return unknown("compliance", "no press on something rigid was seen")
-    found = [press.compliance for press in presses]
-    value, sd = pooled(found, [press.compliance_sd for press in presses])
-    seconds = tuple(press.session.seconds((press.contact,))[0] for press in presses)
+    value, sd = pooled([one.compliance for one in presses], [one.compliance_sd for one in presses])
     evidence = f"{len(presses)} presses in which the displacement is a line of the force"
     least_sd = max(sd, _LEAST_PART * value, 1e-7)
     if sd > _LARGEST_PART * abs(value):
         value = max(value, 0.0)
-        limit = 1e3 * (value + 2.0 * sd)
-        evidence = f"too small to measure: below {limit:.2g} mm/N, by {evidence}"
+        evidence = f"too small to measure: below {1e3 * (value + 2 * sd):.2g} mm/N, by {evidence}"
     elif value < 0.0:
         evidence = f"the probe goes back as the force rises, by {evidence}: not one axis"
         return unknown("compliance", evidence)
@@ -196,4 +160,4 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
         "displacement.compliance": float(f"{value:.5g}"),
         "displacement.compliance_sd": float(f"{least_sd:.3g}"),
     }
-    return Finding("compliance", value, sd, evidence, seconds, parameters=values)
+    return Finding("compliance", value, sd, evidence, parameters=values)

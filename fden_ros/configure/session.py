@@ -9,13 +9,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.configure.finding import Seconds
 from fden_ros.configure.signs import Course, Mask, Signs, find_signs
-from fden_ros.configure.statistics import apart_from_neighbours, noise_of
-from fden_ros.configure.streams import Streams
+from fden_ros.configure.streams import Streams, apart_from_neighbours, noise_of
 from fden_ros.core.arrays import Array
 from fden_ros.experiments.regression import linear
 
@@ -26,8 +25,7 @@ _CALM = 10
 #: The tool turns above this rate [rad/s].
 _TURNING = 0.02
 #: A change counts from 6 standard deviations of a chunk, and 0.3 % of the range of the force.
-_DEVIATIONS = 6.0
-_PART = 0.003
+_DEVIATIONS, _PART = 6.0, 0.003
 #: Medians over this time [s] show the level in the air, which drifts by 0.2 % of the range a
 #: second at most.
 _WINDOW = 0.6
@@ -36,20 +34,17 @@ DRIFT_PART = 0.002
 _FOLLOW = 2.0
 #: Force and motion are compared by their changes over this part of a recording.
 _CHANGES = 100
-#: In the air the probe travels by this part of its stroke in contact, at least.
-_TRAVEL = 0.2
-#: The force in the air follows the motion by less than this part of that in contact.
-_FLAT = 0.15
-#: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off.
-_SAME = 0.5
-#: A contact has at least this many chunks.
-_LEAST = 4
+#: In the air the probe travels by this part of its stroke in contact, at least, and the force
+#: follows the motion by less than this part of that in contact.
+_TRAVEL, _FLAT = 0.2, 0.15
+#: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off; it
+#: has at least this many chunks.
+_SAME, _LEAST = 0.5, 4
 #: A recording whose largest change of force is below this many deviations holds no contact.
 _LEAST_CHANGE = 12.0
 
 
-@dataclass(frozen=True)
-class Contact:
+class Contact(NamedTuple):
     """One stretch in contact, as chunks from `first` to before `last`, and in time [s]."""
 
     first: int
@@ -63,59 +58,30 @@ class Contact:
         return slice(self.first, self.last)
 
 
-@dataclass(frozen=True)
-class Lines:
-    """Directions in which force and motion go together, and which end of them is the tissue's.
+class Lines(NamedTuple):
+    """Unit vectors in which force and motion go together, into the tissue where `signs` hold."""
 
-    Parameters
-    ----------
-    grows, into : Array
-        Unit vectors of the force (k,) and the displacement (j,); into the tissue where `signs`
-        are stated.
-    signs : Signs
-    """
-
-    grows: Array
-    into: Array
+    grows: Array  #: of the force (k,)
+    into: Array  #: of the displacement (j,)
     signs: Signs
 
 
 @dataclass(frozen=True)
 class Session:
-    """A recording in chunks, the tool's weight taken off.
-
-    Parameters
-    ----------
-    streams : Streams
-    unloaded : Array
-        Force at its own stamps, the tool's weight taken off (m, k).
-    edges, times : Array
-        Of the chunks [s], (n + 1,) and (n,).
-    force, position : Array
-        Means of the chunks (n, k), (n, j).
-    turning, air : Mask
-        Chunks in which the tool turns, and those in the air (n,).
-    baseline : Array
-        Force in the air, in between interpolated (n, k).
-    contacts : tuple of Contact
-    leaves : bool
-        Whether the force in the air is seen.
-    lines : Lines or None
-        Of force and motion; None where nothing was touched in any recording of the rig.
-    """
+    """A recording in chunks, the tool's weight subtracted."""
 
     streams: Streams
-    unloaded: Array
-    edges: Array
-    times: Array
-    force: Array
-    position: Array
-    turning: Mask
-    air: Mask
-    baseline: Array
+    unloaded: Array  #: force at its own stamps, the tool's weight subtracted (m, k)
+    edges: Array  #: of the chunks [s] (n + 1,)
+    times: Array  #: middles of the chunks [s] (n,)
+    force: Array  #: means of the chunks (n, k)
+    position: Array  #: means of the chunks (n, j)
+    turning: Mask  #: chunks in which the tool turns (n,)
+    air: Mask  #: chunks in the air (n,)
+    baseline: Array  #: force in the air, in between interpolated (n, k)
     contacts: tuple[Contact, ...] = ()
-    leaves: bool = False
-    lines: Lines | None = None
+    leaves: bool = False  #: whether the force in the air is seen
+    lines: Lines | None = None  #: None where nothing was touched in any recording of the rig
 
     @property
     def net(self) -> Array:
@@ -141,13 +107,17 @@ class Session:
         calm = np.quantile([np.sqrt(np.mean(part**2, axis=0)) for part in parts], 0.1, axis=0)
         return np.maximum(white, calm)
 
+    def noise(self, direction: Array) -> float:
+        """Return the standard deviation of the force's means along a direction."""
+        return float(np.linalg.norm(self.force_chunk_noise * direction))
+
     @cached_property
     def motion_chunk_noise(self) -> Array:
         """Standard deviation of the position's means (j,)."""
         return self.motion_noise / math.sqrt(self._per_chunk(self.streams.motion_times))
 
     def _per_chunk(self, times: Array) -> float:
-        return max(times.size / max(self.times.size, 1), 1.0)
+        return max(times.size / self.times.size, 1.0)
 
     @property
     def is_pressed(self) -> bool:
@@ -157,44 +127,30 @@ class Session:
             return False
         centred = still - np.median(still, axis=0)
         direction = np.linalg.svd(centred, full_matrices=False)[2][0]
-        noise = float(np.linalg.norm(self.force_chunk_noise * direction))
-        return float(np.ptp(centred @ direction)) >= _LEAST_CHANGE * noise
-
-    def seconds(self, contacts: tuple[Contact, ...] | None = None) -> Seconds:
-        """Return the times of contacts since the first stamp."""
-        first = self.streams.start
-        chosen = self.contacts if contacts is None else contacts
-        return tuple((c.start - first, c.end - first) for c in chosen)
-
-    def air_seconds(self) -> Seconds:
-        """Return the stretches in the air since the first stamp."""
-        first = self.streams.start
-        return tuple(
-            (float(self.edges[a] - first), float(self.edges[b] - first))
-            for a, b in runs(self.air)
-            if b - a >= _LEAST
-        )
+        return float(np.ptp(centred @ direction)) >= _LEAST_CHANGE * self.noise(direction)
 
 
 def make_sessions(
     recordings: Sequence[Streams], loads: Sequence[Array | None] | None = None
 ) -> tuple[Session, ...]:
-    """Cut recordings of one rig into air and contact.
-
-    Parameters
-    ----------
-    recordings : sequence of Streams
-    loads : sequence of Array, optional
-        Force of the tool's weight at the force's stamps (n, k), to be taken off each.
-    """
+    """Cut recordings of one rig into air and contact, the loads (n, k) subtracted from each."""
     given = loads or [None] * len(recordings)
     sessions = [_uncut(one, load) for one, load in zip(recordings, given, strict=True)]
     pressed = [one for one in sessions if one.is_pressed]
     if not pressed:
         return tuple(sessions)
-    grows = _force_line(pressed)
-    into = _motion_line(pressed, grows)
-    signs = find_signs([_course(one, grows, into) for one in pressed])
+    still = [one.force[~one.turning] for one in pressed]
+    centred = np.concatenate([force - np.median(force, axis=0) for force in still])
+    grows = np.asarray(np.linalg.svd(centred, full_matrices=False)[2][0])
+    # Over a short time: in a hold the force relaxes without any motion.
+    moves = [changes(one, one.force @ grows, one.position, _CHANGES) for one in pressed]
+    total = sum((moved.T @ rises for moved, rises in moves), np.zeros(moves[0][0].shape[1]))
+    into = np.asarray(total / max(float(np.linalg.norm(total)), 1e-300))
+    courses = [
+        Course(s.times, s.position @ into, s.force @ grows, ~s.turning, s.noise(grows))
+        for s in pressed
+    ]
+    signs = find_signs(courses)
     lines = Lines(signs.force * grows, signs.motion * into, signs)
     return tuple(_cut(one, lines) if one.is_pressed else one for one in sessions)
 
@@ -207,7 +163,11 @@ def _uncut(streams: Streams, load: Array | None) -> Session:
     force = _means(streams.force_times, unloaded, edges)
     position = _means(streams.motion_times, streams.position, edges)
     good = np.isfinite(force[:, 0]) & np.isfinite(position[:, 0])
-    force, position = (_filled(times, values, good) for values in (force, position))
+    if good.any() and not good.all():
+        force, position = (
+            np.stack([np.interp(times, times[good], c[good]) for c in values.T], axis=1)
+            for values in (force, position)
+        )
     turning: Mask = np.asarray(streams.turn_rates(edges) > _TURNING)
     leaves = int(np.sum(~turning)) >= 2 * _LEAST
     air = ~turning & leaves
@@ -217,48 +177,28 @@ def _uncut(streams: Streams, load: Array | None) -> Session:
     )
 
 
-def _force_line(pressed: Sequence[Session]) -> Array:
-    """Return the line along which the force changes most."""
-    still = [one.force[~one.turning] for one in pressed]
-    centred = np.concatenate([force - np.median(force, axis=0) for force in still])
-    return np.asarray(np.linalg.svd(centred, full_matrices=False)[2][0])
-
-
-def _motion_line(pressed: Sequence[Session], grows: Array) -> Array:
-    """Return the line of the motion that goes with the force, where that grows along `grows`."""
-    total = np.zeros(pressed[0].position.shape[1])
-    for one in pressed:
-        # Over a short time: in a hold the force relaxes without any motion.
-        lag = max(2, one.times.size // _CHANGES)
-        still = ~(one.turning[lag:] | one.turning[:-lag])
-        rises = (one.force[lag:] - one.force[:-lag]) @ grows
-        total += (one.position[lag:] - one.position[:-lag])[still].T @ rises[still]
-    return np.asarray(total / max(float(np.linalg.norm(total)), 1e-300))
-
-
-def _course(session: Session, grows: Array, into: Array) -> Course:
-    noise = float(np.linalg.norm(session.force_chunk_noise * grows))
-    motion, push = session.position @ into, session.force @ grows
-    return Course(session.times, motion, push, ~session.turning, noise)
+def changes(
+    session: Session, push: Array, position: Array, parts: int, span: slice = slice(None)
+) -> tuple[Array, Array]:
+    """Return changes of position (n, j) and force (n,) over a part of their chunks, unturned."""
+    lag, turning = max(2, push.size // parts), session.turning[span]
+    still = ~(turning[lag:] | turning[:-lag])
+    return (position[lag:] - position[:-lag])[still], (push[lag:] - push[:-lag])[still]
 
 
 def _cut(session: Session, lines: Lines) -> Session:
     """Return the session: contact is where the force lies above that in the air."""
-    still = ~session.turning
+    still, edges = ~session.turning, session.edges
     push = session.force @ lines.grows
-    limit = _DEVIATIONS * float(np.linalg.norm(session.force_chunk_noise * lines.grows))
-    limit = max(limit, _PART * float(np.ptp(push[still])))
+    limit = max(_DEVIATIONS * session.noise(lines.grows), _PART * float(np.ptp(push[still])))
     height = push - _lowest(session.times, push, still, limit)
     air: Mask = still & (np.abs(height) < limit)
     leaves = lines.signs.is_stated and _is_air(
         session.times, height, session.position @ lines.into, air, still
     )
-    if not leaves:
-        air = air & False
-    contacts = _contacts(height > limit, session.edges)
-    if not leaves:
-        edges = session.edges
-        contacts = (Contact(0, push.size, float(edges[0]), float(edges[-1])),)
+    air = air & leaves
+    whole = (Contact(0, push.size, float(edges[0]), float(edges[-1])),)
+    contacts = _contacts(height > limit, edges) if leaves else whole
     baseline = _followed(session.times, session.force, air)
     return replace(
         session, air=air, baseline=baseline, contacts=contacts, leaves=leaves, lines=lines
@@ -282,14 +222,13 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 
 
 def _edges(streams: Streams) -> Array:
-    length = streams.end - streams.start
-    rates = [
-        (times.size - 1) / max(float(times[-1] - times[0]), 1e-9)
+    force, motion = (
+        float(times[-1] - times[0]) / (times.size - 1)
         for times in (streams.force_times, streams.motion_times)
-    ]
-    width = max(_CHUNK, 4.0 / rates[0], 3.0 / rates[1])
-    count = max(int(length / width), 1)
-    return np.asarray(streams.start + width * np.arange(count + 1), dtype=np.float64)
+    )
+    width = max(_CHUNK, 4.0 * force, 3.0 * motion)
+    count = max(int((streams.end - streams.start) / width), 1)
+    return np.asarray(streams.start + width * np.arange(count + 1))
 
 
 def _means(times: Array, values: Array, edges: Array) -> Array:
@@ -298,12 +237,6 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     counts = np.diff(index)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((sums[index[1:]] - sums[index[:-1]]) / counts)
-
-
-def _filled(times: Array, values: Array, good: Mask) -> Array:
-    if good.all() or not good.any():
-        return values
-    return np.stack([np.interp(times, times[good], c[good]) for c in values.T], axis=1)
 
 
 def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
@@ -315,42 +248,36 @@ def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
     width = max(_LEAST + 1, math.ceil(_WINDOW / float(times[1] - times[0])))
     inside = np.flatnonzero(still)
     blocks = np.array_split(inside, max(inside.size // width, 1))
-    knots = np.array([times[block].mean() for block in blocks])
-    levels = np.array([np.median(push[block]) for block in blocks])
+    x = np.array([times[block].mean() for block in blocks])
+    y = np.array([np.median(push[block]) for block in blocks])
+
+    def is_above(a: int, b: int, c: int) -> bool:
+        return bool((y[b] - y[a]) * (x[c] - x[a]) >= (y[c] - y[a]) * (x[b] - x[a]))
+
     hull: list[int] = []
-    for new in range(knots.size):
-        while len(hull) > 1 and _is_above(knots, levels, hull[-2], hull[-1], new):
+    for new in range(x.size):
+        while len(hull) > 1 and is_above(hull[-2], hull[-1], new):
             hull.pop()
         hull.append(new)
     steepest = DRIFT_PART * float(np.ptp(push[still]))
-    middle = int(np.argmin(levels[hull]))
+    middle = int(np.argmin(y[hull]))
     kept = [hull[middle]]
     for some in (hull[middle + 1 :], hull[:middle][::-1]):
         last = hull[middle]
         for one in some:
-            rise = float(levels[one] - levels[last])
-            if rise > limit + steepest * abs(float(knots[one] - knots[last])):
+            if float(y[one] - y[last]) > limit + steepest * abs(float(x[one] - x[last])):
                 break
             kept.append(one)
             last = one
     kept.sort()
-    return np.interp(times, knots[kept], levels[kept])
-
-
-def _is_above(x: Array, y: Array, first: int, middle: int, last: int) -> bool:
-    """Whether a point lies on or above the line between its neighbours."""
-    return bool(
-        (y[middle] - y[first]) * (x[last] - x[first])
-        >= (y[last] - y[first]) * (x[middle] - x[first])
-    )
+    return np.interp(times, x[kept], y[kept])
 
 
 def _followed(times: Array, values: Array, air: Mask) -> Array:
     """Return medians over 2 s of the values in the air, linear in between (n, k)."""
     seen, inside = times[air], values[air]
     bins = np.floor((seen - times[0]) / _FOLLOW).astype(int)
-    parts = [bins == one for one in np.unique(bins)]
-    parts = [part for part in parts if part.sum() >= _LEAST]
+    parts = [part for one in np.unique(bins) if (part := bins == one).sum() >= _LEAST]
     if not parts:
         return np.broadcast_to(np.median(values, axis=0), values.shape).copy()
     knots = [float(seen[part].mean()) for part in parts]
@@ -363,9 +290,8 @@ def _is_air(times: Array, height: Array, motion: Array, air: Mask, still: Mask) 
     pressed = still & ~air
     if min(int(air.sum()), int(pressed.sum())) < _LEAST:
         return bool(air.sum() >= _LEAST)
-    longest = max(
-        (float(np.ptp(motion[a:b])) for a, b in runs(air) if b - a >= _LEAST), default=0.0
-    )
+    stretches = [motion[a:b] for a, b in runs(air) if b - a >= _LEAST]
+    longest = max((float(np.ptp(part)) for part in stretches), default=0.0)
     if longest < _TRAVEL * float(np.ptp(motion[pressed])):
         return False
     design = np.stack([motion, np.ones_like(times), times - times[0]], axis=1)

@@ -10,18 +10,17 @@ two go with the force's change. Under the right one the force is that of a conta
           + \sum_m h_m e^{-t/\tau_m}, \qquad w_{km} \ge 0
 
 It is constant in the air but for a drift d, grows convexly with the depth x, never pulls, and
-relaxes towards the force in the air; h is what the tissue remembers from before. Least squares
-with weights that are not negative fit each reading, and the ratio of the likelihoods says how far
-the next best is excluded. Each weight follows the noise too: twice its variance a weight is added
-to what a fit leaves (Mallows), or a few chunks fit any sign. Several presses, perhaps of several
-places, are fitted one by one, cut between them.
+relaxes towards the force in the air; h is what the tissue remembers from before. Nonnegative least
+squares fit each reading, and the ratio of the likelihoods says how far the next best is excluded.
+Each weight follows the noise too: twice its variance a weight is added to what a fit leaves
+(Mallows), or a few chunks fit any sign. Several presses are fitted one by one, cut between them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,46 +47,31 @@ _MOST_PARTS, _LEAST_CHUNKS = 40, 10
 #: Signs of force and motion.
 _READINGS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 
-Cuts = list[tuple[int, int]]
 
+class Course(NamedTuple):
+    """Force and motion of one recording along their lines, in chunks (n,)."""
 
-@dataclass(frozen=True)
-class Course:
-    """Force and motion of one recording along their lines, in chunks."""
-
-    times: Array  #: (n,) [s]
-    motion: Array  #: (n,)
-    push: Array  #: (n,)
-    seen: Mask  #: chunks that count (n,)
+    times: Array  #: [s]
+    motion: Array
+    push: Array
+    seen: Mask  #: chunks that count
     noise: float  #: standard deviation of the push
 
 
-@dataclass(frozen=True)
-class _Fit:
+class _Fit(NamedTuple):
     """What a reading leaves of the force, and what it would leave of another such recording."""
 
     residual: Array
     misfit: float
 
 
-@dataclass(frozen=True)
-class Signs:
-    """The likeliest reading, and by how much.
+class Signs(NamedTuple):
+    """The likeliest reading, and by how much."""
 
-    Parameters
-    ----------
-    force, motion : float
-        1 where it grows into the tissue, -1 where it falls.
-    log_ratio : float
-        Logarithm of its likelihood over that of the next best reading.
-    probability : float
-        Of the reading, all four equally likely before the data.
-    """
-
-    force: float
+    force: float  #: 1 where it grows into the tissue, -1 where it falls
     motion: float
-    log_ratio: float
-    probability: float
+    log_ratio: float  #: logarithm of its likelihood over that of the next best reading
+    probability: float  #: all four equally likely before the data
 
     @property
     def is_stated(self) -> bool:
@@ -104,40 +88,32 @@ def find_signs(courses: Sequence[Course]) -> Signs:
 
 
 def _compared(course: Course) -> Array:
-    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best."""
-    course = min((_shifted(course, delay) for delay in _DELAYS), key=_misfit)
+    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best.
+
+    They are those of Gaussians whose variance is not known.
+    """
+    tried = (
+        course._replace(motion=np.interp(course.times + delay, course.times, course.motion))
+        for delay in _DELAYS
+    )
+    whole = (0, course.times.size)
+    course = min(tried, key=lambda one: min(_fitted(one, *whole, r).misfit for r in _READINGS))
     least, found = math.inf, np.zeros(len(_READINGS))
     for cuts in _partitions(course):
         parts = [[_fitted(course, a, b, reading) for reading in _READINGS] for a, b in cuts]
-        misfit = float(np.sum([[one.misfit for one in part] for part in parts], axis=0).min())
-        if misfit < least:
-            least = misfit
-            found = sum((_log_likelihoods(part) for part in parts), np.zeros(len(_READINGS)))
+        misfits = np.maximum([[one.misfit for one in part] for part in parts], 1e-300)
+        if misfits.sum(axis=0).min() < least:
+            least = misfits.sum(axis=0).min()
+            best = misfits.argmin(axis=1)
+            counts = [independent(part[k].residual) for part, k in zip(parts, best, strict=True)]
+            found = -0.5 * (np.array(counts) @ np.log(misfits))
     return found
 
 
-def _shifted(course: Course, delay: float) -> Course:
-    motion = np.interp(course.times + delay, course.times, course.motion)
-    return replace(course, motion=motion)
-
-
-def _misfit(course: Course) -> float:
-    """Return what the nearest reading of the whole leaves."""
-    return min(_fitted(course, 0, course.times.size, reading).misfit for reading in _READINGS)
-
-
-def _log_likelihoods(fits: Sequence[_Fit]) -> Array:
-    """Return those of a Gaussian whose variance is not known (4,)."""
-    misfits = np.maximum([one.misfit for one in fits], 1e-300)
-    nearest = fits[int(np.argmin(misfits))].residual
-    count = independent(nearest)
-    return np.asarray(-0.5 * count * np.log(misfits))
-
-
-def _partitions(course: Course) -> list[Cuts]:
+def _partitions(course: Course) -> list[list[tuple[int, int]]]:
     """Return the whole, and the parts from one turning point of the motion to the next but one."""
     motion = course.motion
-    found: list[Cuts] = [[(0, motion.size)]]
+    found = [[(0, motion.size)]]
     changes = np.abs(np.diff(course.push))
     active = changes > 3.0 * float(np.median(changes))
     middles = 0.5 * (motion[1:] + motion[:-1])
@@ -178,18 +154,9 @@ def contact_fit(
     relaxation: Sequence[float],
     seen: Mask | None = None,
 ) -> tuple[Array, int]:
-    """Fit the force of a contact to samples (n,); return the residual and how many weights count.
+    """Fit the force of a contact to even samples (n,); return what is left and the free weights.
 
-    Parameters
-    ----------
-    times, push, depth : Array
-        At one step, (n,).
-    knots : Array
-        Depths at which springs and Maxwell elements begin (k,).
-    relaxation : sequence of float
-        Times of the Maxwell elements [s].
-    seen : Mask, optional
-        Samples that count (n,).
+    Springs, and Maxwell elements of times `relaxation` [s], begin at `knots` of the depth (k,).
     """
     chosen: Mask = np.ones(times.size, bool) if seen is None else seen
     since = times - times[0]

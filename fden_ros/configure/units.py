@@ -18,12 +18,11 @@ from fden_ros.configure.axes import Axes
 from fden_ros.configure.finding import Finding, unknown
 from fden_ros.configure.session import Session
 from fden_ros.core.law import Geometry
-from fden_ros.recording.units import UNITS
+from fden_ros.recording.headings import UNITS
 from fden_ros.written import written
 
-#: Units that a recording may be in where it states none.
+#: Units that a recording may be in where it states none; the first is that of SI.
 _POSSIBLE = {"force": ("N", "mN", "g", "kgf", "lbf"), "displacement": ("m", "mm")}
-_SI = {"force": "N", "displacement": "m"}
 _STATE = (
     "state it: a factor in --columns, as force*9.80665e-3 of grams; of a bag publish a type that "
     "has a unit, as WrenchStamped"
@@ -38,88 +37,83 @@ class Unit(NamedTuple):
 
 
 NOT_STATED = Unit("")
-STATED_SI: Mapping[str, Unit] = {stream: Unit(name) for stream, name in _SI.items()}
+STATED_SI: Mapping[str, Unit] = {stream: Unit(names[0]) for stream, names in _POSSIBLE.items()}
 
 
 def unit_of(stream: str, factor: float) -> Unit:
     """Return the unit of ``force`` or ``displacement`` with a factor to SI."""
     known = UNITS[stream].items()
     names = (name for name, size in known if abs(size - factor) < 1e-9 * size)
-    return Unit(next(names, f"{factor:g} {_SI[stream]}"), factor)
+    return Unit(next(names, f"{factor:g} {_POSSIBLE[stream][0]}"), factor)
 
 
 def unit_findings(
     sessions: Sequence[Session], axes: Axes, geometry: Geometry | None, units: Mapping[str, Unit]
-) -> tuple[Finding, Finding]:
+) -> tuple[Finding, ...]:
     """Return what is stated of the units of force and displacement, or what each would make."""
-    force, displacement = (
+    deepest = _deepest(sessions, axes)
+    return tuple(
         Finding(f"{stream} unit", units[stream].name, None, "as stated")
         if units[stream].name
-        else unknown(f"{stream} unit", _possible(stream, sessions, axes, geometry, units), _STATE)
-        for stream in ("force", "displacement")
+        else unknown(f"{stream} unit", _possible(stream, deepest, geometry, units), _STATE)
+        for stream in _POSSIBLE
     )
-    return force, displacement
 
 
 def _possible(
     stream: str,
-    sessions: Sequence[Session],
-    axes: Axes,
+    deepest: tuple[float, float] | None,
     geometry: Geometry | None,
     units: Mapping[str, Unit],
 ) -> str:
     """Say what each unit would make of the tissue."""
-    deepest = _deepest(sessions, axes)
     if deepest is None:
-        return f"none is stated: {_SI[stream]} is taken"
-    said = []
+        return f"none is stated: {_POSSIBLE[stream][0]} is taken"
+    made = []
     for name in _POSSIBLE[stream]:
-        force, depth = deepest
-        factor = UNITS[stream][name]
-        force, depth = (factor * force, depth) if stream == "force" else (force, factor * depth)
+        factors = {"force": 1.0, "displacement": 1.0, stream: UNITS[stream][name]}
+        force, depth = factors["force"] * deepest[0], factors["displacement"] * deepest[1]
         if geometry is None:
-            said.append(f"{name} {written(force / depth, 2)} N/m")
-            continue
-        strain = geometry.strain(depth / geometry.length)
-        said.append(f"{name} {written(geometry.stress_per_force * force / strain, 2)} Pa")
+            made.append(f"{name} {written(force / depth, 2)} N/m")
+        else:
+            strain = geometry.strain(depth / geometry.length)
+            made.append(f"{name} {written(geometry.stress_per_force * force / strain, 2)} Pa")
     other = "displacement" if stream == "force" else "force"
-    assumed = "" if units[other].name else f", with the {other} in {_SI[other]}"
+    given = "" if units[other].name else f", with the {other} in {_POSSIBLE[other][0]}"
     kind = "stiffness" if geometry is None else "modulus"
-    return f"none is stated; {kind} of the tissue{assumed}: {', '.join(said)}"
+    return f"none is stated; {kind} of the tissue{given}: {', '.join(made)}"
 
 
 def _deepest(sessions: Sequence[Session], axes: Axes) -> tuple[float, float] | None:
     """Return force and depth of the softest contact, as recorded."""
     if axes.force is None or axes.displacement is None:
         return None
-    found = []
-    for session in sessions:
-        for contact in session.contacts:
-            force = session.net[contact.span] @ axes.force.direction
-            depth = session.position[contact.span] @ axes.displacement.direction
-            if np.ptp(depth) > 0.0:
-                found.append((float(np.ptp(force)), float(np.ptp(depth))))
-    return min(found, key=lambda pair: pair[0] / pair[1], default=None)
+    grows, into = axes.force.direction, axes.displacement.direction
+    found = [
+        (float(np.ptp(s.net[one.span] @ grows)), float(np.ptp(s.position[one.span] @ into)))
+        for s in sessions
+        for one in s.contacts
+    ]
+    return min((p for p in found if p[1] > 0.0), key=lambda p: p[0] / p[1], default=None)
 
 
 def in_own_unit(finding: Finding, units: Mapping[str, Unit]) -> Finding:
     """Return a finding in the recording's unit; what rests on an unknown one is not stated."""
-    force, displacement = units["force"], units["displacement"]
     stream = finding.subject.partition(" ")[0]
     if finding.unit in ("N", "N/s", "m") and stream in units:
-        unit = units[stream]
-        value, deviation, name = finding.value, finding.deviation, unit.name or "units"
+        unit, value, sd = units[stream], finding.value, finding.deviation
+        name = unit.name or "units"
         # The floor is a tenth of the noise in whatever unit a replay reads both.
         kept = unit.name or finding.subject == "force noise"
         return replace(
             finding,
             value=value / unit.factor if isinstance(value, float) else value,
-            deviation=None if deviation is None else deviation / unit.factor,
+            deviation=None if sd is None else sd / unit.factor,
             own_unit=f"{name}/s" if finding.unit == "N/s" else name,
             parameters=finding.parameters if kept else {},
         )
-    needed = {"kg": (force,), "m/N": (force, displacement)}.get(finding.unit, ())
-    if not finding.claim or all(unit.name for unit in needed):
+    needed = {"kg": ("force",), "m/N": ("force", "displacement")}.get(finding.unit, ())
+    if not finding.claim or all(units[one].name for one in needed):
         return finding
     evidence = f"{finding.evidence}; the unit is not known"
     return replace(finding, claim=False, evidence=evidence, parameters={}, motion=_STATE)

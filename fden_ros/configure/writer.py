@@ -14,28 +14,25 @@ import yaml
 from fden_ros.configure.finding import SUBJECTS, Finding
 from fden_ros.configure.reading import MESSAGES, Reading
 from fden_ros.configure.survey import Survey
-from fden_ros.errors import InputError
 from fden_ros.parameters import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS, PARAMETERS, Value
-from fden_ros.recording.source import SELECTION_LINE, Selection
-from fden_ros.recording.table import stated_columns
+from fden_ros.recording.source import SELECTION_LINE
 
-_WIDTH = 95
 #: Units in which a person reads the values.
 _SCALES = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/N": (1e3, "mm/N"), "rad": (1.0, "")}
 
 
 def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, Value]:
     """Return the proposed parameters, by dotted name, in the order of the table."""
-    values: dict[str, Value] = {}
-    for stream, type_name in readings[0].types.items():
-        values[f"{stream}.message"] = MESSAGES.get(type_name, "")
-    for stream, joint in readings[0].joints.items():
-        values[f"{stream}.name"] = joint
-    values.update(readings[0].parameters)
-    if readings[0].selection.stamps != "header":
+    first = readings[0]
+    values: dict[str, Value] = {
+        f"{stream}.message": MESSAGES.get(type_name, "")
+        for stream, type_name in first.types.items()
+    }
+    values |= {f"{stream}.name": joint for stream, joint in first.joints.items()}
+    if first.selection.stamps != "header":
         values["synchronize.stamp_source"] = "receive"
     for finding in survey.findings:
-        values.update(finding.parameters)
+        values |= finding.parameters
     return {
         parameter.name: values[parameter.name]
         for parameter in PARAMETERS
@@ -67,11 +64,6 @@ def replay_problems(survey: Survey) -> list[str]:
     return problems
 
 
-def replay_command(path: str, reading: Reading) -> str:
-    """Return the command that replays a recording with the file at `path`."""
-    return f"fden replay {shlex.quote(str(reading.path))} --config {shlex.quote(path)}"
-
-
 def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[str] = ()) -> str:
     """Return the commented parameter file, with notes at its head."""
     values = parameter_values(survey, readings)
@@ -83,8 +75,7 @@ def parameter_file(survey: Survey, readings: Sequence[Reading], notes: Sequence[
                 lines += _comment(_sentence(finding), "    ")
         inside = {name: value for name, value in values.items() if name.startswith(f"{group}.")}
         lines += [f"    {group}:"] if inside else []
-        for name, value in inside.items():
-            lines.append(f"      {name.partition('.')[2]}: {_yaml(value)}")
+        lines += [f"      {name.partition('.')[2]}: {_yaml(v)}" for name, v in inside.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -97,97 +88,59 @@ def value_text(finding: Finding) -> str:
         if isinstance(value, float):
             return "grows" if value > 0.0 else "falls"
         return "[" + ", ".join(f"{part:.4f}" for part in value) + "]"
+    assert isinstance(value, float)
     scale, unit = _SCALES.get(finding.unit, (1.0, finding.unit))
-    if isinstance(value, tuple):
-        text = "[" + ", ".join(f"{scale * part:.4g}" for part in value) + "]"
-    else:
-        digits = max(2, min(6, len(str(int(abs(value / sd)))) + 2)) if sd and value else 4
-        text = f"{scale * value:.{digits}g}"
-    if sd and not (isinstance(value, float) and sd < 1e-6 * abs(value)):
+    digits = max(2, min(6, len(str(int(abs(value / sd)))) + 2)) if sd and value else 4
+    text = f"{scale * value:.{digits}g}"
+    if sd and sd >= 1e-6 * abs(value):
         text += f" ± {scale * sd:.2g}"
     return f"{text} {unit}".strip()
 
 
 def _sentence(finding: Finding) -> str:
-    """Return all of a finding, with the first three stretches that it rests on."""
-    where = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in finding.seconds[:3])
-    if len(finding.seconds) > 3:
-        where += f" s and {len(finding.seconds) - 3} more"
-    where = f" (seconds {where})" if where else ""
+    """Return all of a finding."""
     if finding.claim:
-        return f"{finding.subject}: {value_text(finding)}; {finding.evidence}{where}."
+        return f"{finding.subject}: {value_text(finding)}; {finding.evidence}."
     known = f" {value_text(finding)};" if finding.value is not None else ""
-    return (
-        f"{finding.subject}: CANNOT TELL;{known} {finding.evidence}{where}. To find out: "
-        f"{finding.motion}."
-    )
+    why = f"CANNOT TELL;{known} {finding.evidence}"
+    return f"{finding.subject}: {why}. To find out: {finding.motion}."
 
 
 def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> list[str]:
-    lines = ["# Proposed by fden configure from"]
+    first, lines = readings[0], ["# Proposed by fden configure from"]
     for reading in readings:
         force, displacement = (_source(reading, stream) for stream in ("force", "displacement"))
-        lines += _comment(f"{reading.path}: force {force}, displacement {displacement}", "")
+        lines += _comment(f"{reading.path}: force {force}, displacement {displacement}")
         for warning in reading.warnings:
-            lines += _comment(f"warning: {warning}", "")
-    first = readings[0]
+            lines += _comment(f"warning: {warning}")
     if first.types:
-        topics = [stream for stream, kind in first.types.items() if MESSAGES.get(kind) != "tf"]
-        names = {stream: first.inputs[stream].partition(" ")[0] for stream in topics}
+        names = {stream: first.inputs[stream].partition(" ")[0] for stream in first.types}
         remaps = " ".join(f"-r {stream}:={name}" for stream, name in names.items())
         lines.append(f"{LIVE_LINE}{remaps}")
-    if chosen := _chosen(first):
+    if chosen := first.selection.options():
         lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
     lines.append("# ± is one standard deviation. What stays at its default is left out.")
     for problem in replay_problems(survey):
-        lines += _comment(f"{ATTENTION_LINE.removeprefix('# ')}{problem}", "")
+        lines += _comment(f"{ATTENTION_LINE.removeprefix('# ')}{problem}")
     for note in notes:
-        lines += _comment(f"note: {note}", "")
+        lines += _comment(f"note: {note}")
     lines.append("#")
     for finding in survey.findings:
         if not SUBJECTS[finding.subject].group:
-            lines += _comment(_sentence(finding), "")
+            lines += _comment(_sentence(finding))
     return lines
 
 
-def _chosen(reading: Reading) -> list[str]:
-    """Return the options that say what in a recording was read, where they are needed."""
-    chosen: Selection = reading.selection
-    options = {f"--{stream}-topic": name for stream, name in chosen.topics.items()}
-    options |= {f"--{stream}-field": path for stream, path in chosen.fields.items()}
-    if chosen.stamps != "header":
-        options["--stamps"] = chosen.stamps
-    if chosen.where is not None:
-        options["--rows"] = "=".join(chosen.where)
-    if chosen.columns is not None and str(chosen.columns) != _said(reading):
-        options["--columns"] = str(chosen.columns)
-    return [word for option, value in options.items() for word in (option, value)]
-
-
-def _said(reading: Reading) -> str | None:
-    """Return the columns that the headings of a table say by themselves."""
-    try:
-        return str(stated_columns(reading.path))
-    except InputError:
-        return None
-
-
 def _source(reading: Reading, stream: str) -> str:
-    said = reading.types.get(stream, "").replace("/msg/", "/")
-    for name, named in (("joint", reading.joints), ("frame", reading.frames)):
-        said += f", {name} {named[stream]}" if named.get(stream) else ""
-    return f"{reading.inputs[stream]} ({said})" if said else reading.inputs[stream]
+    words = [reading.types.get(stream, "").replace("/msg/", "/")]
+    words += [f"joint {reading.joints[stream]}"] if stream in reading.joints else []
+    return f"{reading.inputs[stream]} ({', '.join(words)})" if words[0] else reading.inputs[stream]
 
 
-def _comment(text: str, indent: str) -> list[str]:
-    return textwrap.wrap(
-        text,
-        _WIDTH,
-        initial_indent=f"{indent}# ",
-        subsequent_indent=f"{indent}#   ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+def _comment(text: str, indent: str = "") -> list[str]:
+    wrapper = textwrap.TextWrapper(95, f"{indent}# ", f"{indent}#   ")
+    wrapper.break_long_words = wrapper.break_on_hyphens = False
+    return wrapper.wrap(text)
 
 
 def _yaml(value: Value) -> str:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Force control on soft tissue: one law, with gains from the live stiffness or fixed.
+r"""Force control on soft tissue: one law, with gains from the live stiffness.
 
 The probe is moved by its velocity. With k the tissue's stiffness in N/m, the force follows its
 target as a first-order system of the bandwidth w, whatever the tissue:
@@ -33,8 +33,7 @@ from fden_ros.errors import InputError
 class Gains(enum.Enum):
     """Where the gains in use come from."""
 
-    FIXED = "fixed"
-    SAFE = "safe"  #: scheduled control without a stiffness
+    SAFE = "safe"  #: no stiffness is known
     LIVE = "live"
 
 
@@ -42,9 +41,8 @@ class Gains(enum.Enum):
 class ForceControlConfig:
     """One force controller; SI units."""
 
-    safe_stiffness: float  #: k of the fixed gains [N/m]: the stiffest tissue that is expected
+    safe_stiffness: float  #: k of the safe gains [N/m]: the stiffest tissue that is expected
     force_limit: float  #: the force shall stay below it [N]
-    scheduled: bool = True  #: gains from the live stiffness; false: fixed gains
     bandwidth: float = 12.0  #: w [rad/s]: at most a third of 1 / (delay + lag of the axis)
     reaction_time: float = 0.06  #: T [s]: from a change of the force to the axis answering
     touch_force: float = 0.01  #: below it the probe is in the air [N]
@@ -54,9 +52,7 @@ class ForceControlConfig:
     def __post_init__(self) -> None:
         for name in ("safe_stiffness", "force_limit", "bandwidth", "reaction_time"):
             if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"force control: {name} is {getattr(self, name)}; it must be positive"
-                )
+                raise InputError(f"{name} is {getattr(self, name)}; it must be positive")
 
 
 #: rho: the ratio by which tissue may suddenly stiffen [1].
@@ -67,10 +63,8 @@ _MAX_SPEED = 0.05
 _LEAST_STIFFNESS = 0.1
 #: The secant is taken over 25 ms [s] and 20 um [m] at least, less a multiple of its deviation.
 _WINDOW, _LEAST_MOTION, _CERTAIN = 0.025, 2e-5, 3.0
-#: Up to this ratio of measured to estimated stiffness the estimate is believed.
-_BELIEVED = 1.5
-#: A measured stiffening is forgotten at this rate while the probe moves [1/s].
-_FORGETTING = 2.0
+#: Up to this ratio to it the estimate is believed; more is forgotten at this rate [1/s].
+_BELIEVED, _FORGETTING = 1.5, 2.0
 #: The integral acts within this part of the target, at this part of the bandwidth.
 _NEAR, _INTEGRAL_PART = 0.1, 0.25
 
@@ -78,21 +72,11 @@ _NEAR, _INTEGRAL_PART = 0.1, 0.25
 class ForceController:
     """Velocity of the probe from force, depth and what is known of the tissue.
 
-    Parameters
-    ----------
-    config : ForceControlConfig
-
-    Attributes
-    ----------
-    gains : Gains
-        Where those of the last step came from.
-    stiffness : float
-        k of the last step [N/m].
+    `gains` says where those of the last step came from, `stiffness` is its k [N/m].
     """
 
     def __init__(self, config: ForceControlConfig) -> None:
         self.config = config
-        self.gains, self.stiffness = Gains.FIXED, config.safe_stiffness
         self._recent: deque[tuple[float, float, float]] = deque()
         self._time: float | None = None
         self._target = 0.0
@@ -108,16 +92,8 @@ class ForceController:
     ) -> float:
         """Return the velocity into the tissue [m/s].
 
-        Parameters
-        ----------
-        time : float
-            Of the measurement [s].
-        force, depth : float
-            Measured, on the tissue [N], into it [m].
-        target : float
-            Force wanted [N]; 0 or less: leave the tissue.
-        known : (float, float) or None
-            The tissue's stiffness at 1 / bandwidth and its deviation [N/m]; None: not known.
+        `force` [N] and `depth` [m] were measured at `time` [s]. A `target` of 0 N or less leaves
+        the tissue. `known` is its stiffness at 1 / bandwidth and the deviation [N/m], if it is.
         """
         config = self.config
         elapsed = 0.0 if self._time is None else time - self._time
@@ -125,8 +101,7 @@ class ForceController:
         if force < config.touch_force:
             self._forget()
             return config.approach_speed if target > 0.0 else -config.approach_speed
-        if config.scheduled:
-            self._schedule(time, force, depth, known, elapsed)
+        self._schedule(self._measured_stiffness(time, force, depth), known, elapsed)
         error = target - force
         rate = config.bandwidth * error + self._integrate(error, target, elapsed)
         guard = GUARDED_STIFFENING * config.reaction_time
@@ -137,9 +112,8 @@ class ForceController:
         """In the air: whatever is touched next is new."""
         self._recent.clear()
         self._stiffening, self._integral = 1.0, 0.0
-        self._known = self.config.safe_stiffness
-        if self.config.scheduled:
-            self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
+        self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
+        self._known = self.stiffness
 
     def _integrate(self, error: float, target: float, elapsed: float) -> float:
         """Return the rate that balances the tissue's relaxation [N/s]; only near the target."""
@@ -150,12 +124,7 @@ class ForceController:
         return self.config.bandwidth * self._integral
 
     def _schedule(
-        self,
-        time: float,
-        force: float,
-        depth: float,
-        known: tuple[float, float] | None,
-        elapsed: float,
+        self, measured: float | None, known: tuple[float, float] | None, elapsed: float
     ) -> None:
         safe = self.config.safe_stiffness
         if known is None:
@@ -165,7 +134,6 @@ class ForceController:
             # Cautious: the value and its deviation.
             least = min(_LEAST_STIFFNESS, safe)
             self.gains, self._known = Gains.LIVE, max(known[0] + known[1], least)
-        measured = self._measured_stiffness(time, force, depth)
         if measured is not None:
             forgotten = 1.0 + (self._stiffening - 1.0) * math.exp(-_FORGETTING * elapsed)
             self._stiffening = max(measured / self._known / _BELIEVED, forgotten)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from fden_ros.control.prediction import Predictor, TissueMemory
-from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, ParameterSet, Uncertainty
+from fden_ros.core.estimation import NOTHING_UNKNOWN, Estimate, Uncertainty
 from fden_ros.core.law import SHORTEST_STEP, Geometry
 from fden_ros.core.outputs import Flag, Phase, Status, TissueState
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes
@@ -44,8 +44,7 @@ _LONGEST_STEP, _LONGEST_STEP_RATIO = 0.05, 1.5
 #: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
 #: says: where it is off by a fifth, pressed tissue would seem free.
 _UNLOADED_PART = 0.05
-#: The force contradicts what was known where three estimates in a row miss it by more than 20 %
-#: of what was predicted and by five deviations.
+#: Three estimates in a row contradict by 20 % of the predicted force and five deviations.
 _MISSED_PART, _MISSED_NIS, _MISSES = 0.2, 25.0, 3
 #: How fast the least delay seen is forgotten, as clocks drift [s/s].
 _DELAY_LEAK = 1e-4
@@ -95,11 +94,7 @@ class Stiffness(NamedTuple):
     depth: float | None = None
 
 
-_BY_STATUS = {
-    Status.UNKNOWN: Cause.UNKNOWN,
-    Status.STALE: Cause.STALE,
-    Status.NO_CONTACT: Cause.NO_CONTACT,
-}
+_BY_STATUS = {s: Cause[s.name] for s in (Status.UNKNOWN, Status.STALE, Status.NO_CONTACT)}
 #: With these there is no state of this moment.
 _WITHOUT_STATE = (Cause.NEVER_HEARD, Cause.LOST, Cause.LATE, Cause.STALE, Cause.TWO_PUBLISHERS)
 #: With these N/m or a measured slope may be known.
@@ -118,10 +113,9 @@ class Reading:
 class LiveTissue:
     """What is known now, from estimates as they arrive; calls from several threads are safe.
 
-    `now` is the time by a clock that never jumps [s]; without it by ``time.monotonic``.
-
-    Its parameters are those of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how
-    often the identifier began anew, whose memory of the tissue is gone then.
+    `now` is the time by a clock that never jumps [s], or ``time.monotonic``. Parameters are those
+    of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how often the identifier began
+    anew, whose memory of the tissue is gone then.
     """
 
     def __init__(
@@ -145,12 +139,9 @@ class LiveTissue:
         self._forget()
 
     def _forget(self) -> None:
-        self._memory, self._memory_site = TissueMemory(), -1
-        self._memory_ns, self._step = 0, 0.0
-        self._is_memory_whole = False
-        self._peak_stress = 0.0
-        self._misses = 0
-        self._contradicted = -1
+        self._memory, self._memory_site, self._memory_ns = TissueMemory(), -1, 0
+        self._is_memory_whole, self._step, self._peak_stress = False, 0.0, 0.0
+        self._misses, self._contradicted = 0, -1
 
     # Input
 
@@ -211,24 +202,18 @@ class LiveTissue:
             state, cause = self._state, self._cause(_time(now))
             if state is None or cause not in _WITH_STIFFNESS:
                 return None
-            refused = state.flags & REFUSED_FLAGS
-            law, estimate, slope = (
-                *(state.apparent_stiffness, state.estimate, state.measured.loading),
-            )
-            is_stated = law is not None and law.value > _STATED_FROM * law.sd
-            if is_stated and not refused and law is not None and estimate is not None:
+            refused, slope = state.flags & REFUSED_FLAGS, state.measured.loading
+            law, estimate = state.apparent_stiffness, state.estimate
+            if law is not None and estimate is not None and not refused:
                 ratio = (time_scale / law.time_scale) ** -estimate.fractional_order
-                return Stiffness(law.value * ratio, law.sd * ratio)
+                if law.value > _STATED_FROM * law.sd:
+                    return Stiffness(law.value * ratio, law.sd * ratio)
             if slope is None or refused & ~LAW_FLAGS:
                 return None
             return Stiffness(slope.value, slope.sd, slope.depth)
 
     def measured(self, now: float | None = None) -> Slopes:
-        """Return the slopes of force over displacement of the newest loading and unloading.
-
-        As they are measured: no law, convergence or touch is needed. None of both while no
-        estimate comes in time.
-        """
+        """Return the slopes as they are measured; none while no estimate comes in time."""
         with self._lock:
             if self._state is None or self._cause(_time(now)) in _WITHOUT_STATE:
                 return NOT_MEASURED
@@ -237,19 +222,11 @@ class LiveTissue:
     def predictor(self, now: float | None = None) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
 
-        None if there is no estimate to rely on, or if its contact was not heard from the touch
-        on: then the memory is not known.
-
-        Raises
-        ------
-        InputError
-            If there is no geometry.
+        None if there is no estimate to rely on, or the memory is not known: its contact was not
+        heard from the touch on. :class:`InputError` if there is no geometry.
         """
         if self._geometry is None:
-            raise InputError(
-                "a prediction needs the probe's geometry: give parameters=, the identifier's "
-                "file, or geometry="
-            )
+            raise InputError("a prediction needs a geometry: give parameters= or geometry=")
         with self._lock:
             reading = self.reading(now)
             if reading is None or not self._is_memory_whole:
@@ -282,12 +259,8 @@ class LiveTissue:
         if state.status in _BY_STATUS:
             return _BY_STATUS[state.status]
         if not _is_known(state):
-            estimate = state.estimate
-            is_linear = (
-                estimate is not None
-                and ParameterSet.LINEAR_STIFFNESS in estimate.known
-                and ParameterSet.NONLINEAR_STIFFNESS not in estimate.observable
-            )
+            own = state.estimate
+            is_linear = own is not None and own.knows(0) and not own.determines(1)
             return Cause.NOT_OBSERVABLE if is_linear else Cause.NOT_CONVERGED
         return Cause.CONTRADICTED if self._contradicted == state.contact_id else None
 
@@ -304,8 +277,7 @@ class LiveTissue:
         """Take note when the force misses what a converged estimate predicts, several times."""
         innovation, is_missed = state.innovation, False
         if innovation is not None and _is_known(state):
-            most = _MISSED_PART * abs(innovation.predicted_stress)
-            is_large = abs(innovation.innovation) > most
+            is_large = abs(innovation.innovation) > _MISSED_PART * abs(innovation.predicted_stress)
             is_missed = is_large and innovation.normalized_squared > _MISSED_NIS
         self._misses = self._misses + 1 if is_missed else 0
         if self._misses >= _MISSES:
@@ -318,7 +290,7 @@ class LiveTissue:
         if state.site_id != self._memory_site:
             # Heard from the air on, nothing of a new site is missed.
             is_first = self._memory_site < 0
-            self._is_memory_whole = is_air if is_first else True
+            self._is_memory_whole = is_air or not is_first
             self._memory, self._memory_site = TissueMemory(), state.site_id
             if is_first:
                 self._memory_ns = state.stamp_ns
@@ -331,15 +303,14 @@ class LiveTissue:
         if is_gap and (in_contact or self._memory.strain > 0.0):
             self._is_memory_whole = False
         self._step, self._memory_ns = step, state.stamp_ns
-        signals = state.signals
+        signals, estimate = state.signals, state.estimate
         if signals is None or not in_contact:
             self._peak_stress = 0.0
             self._memory.rest(step)
             return
         self._peak_stress = max(self._peak_stress, signals.stress)
         is_unloaded = signals.stress <= _UNLOADED_PART * self._peak_stress
-        estimate = state.estimate if is_unloaded else None
-        if estimate is not None and self._memory.is_free(step, signals.strain, estimate):
+        if is_unloaded and estimate and self._memory.is_free(step, signals.strain, estimate):
             self._memory.rest(step)
         else:
             self._memory.press(step, signals.strain, signals.stress)
@@ -362,8 +333,5 @@ def _is_known(state: TissueState) -> bool:
 
 def _started_again(before: TissueState, after: TissueState) -> bool:
     """Return whether the counts or the stamps began anew."""
-    return (
-        after.contact_id < before.contact_id
-        or after.site_id < before.site_id
-        or after.stamp_ns < before.stamp_ns
-    )
+    names = ("contact_id", "site_id", "stamp_ns")
+    return any(getattr(after, name) < getattr(before, name) for name in names)

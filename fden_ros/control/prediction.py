@@ -10,16 +10,15 @@ The exponential moments of the measured stress hold what the tissue remembers. A
 so that the prediction begins at what is measured now, and what law and rig leave out at present
 stays as it is.
 
-The interval is first-order: differences by the law's parameters and r, under their covariance and
-the variance of the last innovation. To it comes the variance by which what is left out may grow,
+The interval is first-order in the law's parameters and r. To it comes the variance by which what
+is left out may grow,
 
 .. math::
     v(t) = \int 2 f^2 \sigma_c^2\,|d\ln\varphi| + (k^2\sigma_s^2 + c^2\sigma_d^2)\,dt
     + \left( f\,\sigma_k \ln\frac{A(t)}{A(0)} \right)^2
 
 with :math:`\sigma_c` and :math:`\sigma_k` the relative errors of curve and relaxation, A the age
-of the loading, k the stiffness that the motion of the surface meets, and c the stress by force
-for the drift of the force.
+of the loading, k the stiffness that the motion of the surface meets, c the stress by force.
 """
 
 from __future__ import annotations
@@ -51,12 +50,9 @@ _POINTS = 40
 _DERIVATIVE_PART = 0.1
 #: Least elastic response, by its slope at small strain, whose relative change counts [1].
 _LEAST_RESPONSE = 1e-3
-#: The law alone does not know where the relaxation leaves it: its relative deviation is this
-#: multiple of the stated one [1]. At the end of a ramp a linear solid of 1 s looks like the law of
-#: a wrong alpha.
-_LAW_ALONE = 2.0
-#: Least age of a loading [s]: that of one block.
-_LEAST_AGE = 0.01
+#: Multiple of the stated deviation of the relaxation: at the end of a ramp a linear solid of 1 s
+#: looks like the law of a wrong alpha. Least age of a loading [s]: that of one block.
+_LAW_ALONE, _LEAST_AGE = 2.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -73,13 +69,7 @@ class Prediction:
 
 
 class TissueMemory:
-    """The stress that a place has borne, in constant memory.
-
-    Attributes
-    ----------
-    strain, stress : float
-        At present [1], [Pa]; 0 in the air.
-    """
+    """The stress that a place has borne, in constant memory; `strain` [1], `stress` [Pa] now."""
 
     def __init__(self) -> None:
         self._moments = StressMoments()
@@ -116,16 +106,8 @@ class TissueMemory:
 class Predictor:
     """The tissue as it is now: parameters, memory and present stress.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    estimate : Estimate
-    memory : TissueMemory
-        The stress at the site up to now.
-    innovation_variance : float
-        Of the stress or the fractional stress, which differ little over seconds [Pa^2].
-    uncertainty : Uncertainty
-        What is not known of model and rig.
+    `innovation_variance` is that of the stress [Pa^2]; `uncertainty` what is not known of model
+    and rig.
     """
 
     geometry: Geometry
@@ -137,12 +119,8 @@ class Predictor:
     def force(self, times: ArrayLike, displacements: ArrayLike) -> Prediction:
         """Return the force on the tissue while the probe follows a plan.
 
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Seconds from the present, positive, increasing.
-        displacements : array_like, shape (n,)
-            Distance further into the tissue by then [m], linear in between; negative: back.
+        `times` are seconds from the present, increasing, shape (n,); `displacements` the distance
+        further into the tissue by then [m], linear in between; negative: back.
 
         Raises
         ------
@@ -162,10 +140,7 @@ class Predictor:
         return Prediction(wanted, value, scale * np.interp(wanted, grid, sd))
 
     def _stress(self, steps: Array, strains: Array) -> tuple[Array, Array]:
-        """Return the stress at the ends of steps [s] and its deviation [Pa], shape (n,) each.
-
-        `strains`: at present and at those ends [1], shape (n + 1,).
-        """
+        """Return the stress at the ends of steps [s] and its deviation [Pa], shape (n,) each."""
         values, axes = np.linalg.eigh(self.estimate.covariance)
         # Towards a curve that bends: where the other has no effect, that may have.
         signs = np.copysign(1.0, axes[1])
@@ -182,23 +157,13 @@ class Predictor:
     def _followed(self, parameters: Array, offsets: Array, steps: Array, strains: Array) -> Array:
         """Return the stress [Pa] along the plan, shape (m, n).
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (m, 3)
-            Of the law: ln G, ln Gn, alpha.
-        offsets : ndarray, shape (m,)
-            What r is larger by [Pa s^alpha].
-        steps, strains : ndarray, shapes (n,), (n + 1,)
+        By the law with `parameters` (ln G, ln Gn, alpha), shape (m, 3), and r larger by `offsets`.
         """
         weights = np.array([memory_weights(max(order, 0.0)) for order in parameters[:, 2]])
         slow, fast = weights[:, :RATE_COUNT], weights[:, RATE_COUNT]
         linear, nonlinear = np.exp(parameters[:, :2]).T
-        wanted = np.array(
-            [
-                elastic_responses(strains, g, gn).value
-                for g, gn in zip(linear.tolist(), nonlinear.tolist(), strict=True)
-            ]
-        )
+        pairs = zip(linear.tolist(), nonlinear.tolist(), strict=True)
+        wanted = np.array([elastic_responses(strains, g, gn).value for g, gn in pairs])
         stress = np.full(len(parameters), self.memory.stress)
         moments = np.tile(self.memory.moments, (len(parameters), 1))
         wanted += (slow @ self.memory.moments + fast * stress - wanted[:, 0] + offsets)[:, None]
@@ -225,43 +190,21 @@ class Predictor:
         rig = (stiffness / self.geometry.length * stated.surface_motion_sd) ** 2
         rig += (self.geometry.stress_per_force * stated.force_drift_sd) ** 2
         grown = 2.0 * (estimate.model_discrepancy * stress) ** 2 * loading + rig * steps
-        ageing = _log_ageing(response, steps, max(estimate.mean_dwell_time, _LEAST_AGE))
-        return np.asarray(np.cumsum(grown) + (self._relaxation_error * stress * ageing) ** 2)
-
-    @property
-    def _relaxation_error(self) -> float:
-        """Relative deviation of the relaxation over a factor e of its age [1].
-
-        The data so far may widen what is stated, not shrink it.
-        """
-        found = self.estimate.law_error
-        stated = _LAW_ALONE * self.uncertainty.kernel_sd
-        return max(stated, found.kernel if found is not None else 0.0)
-
-
-def _log_ageing(response: Array, steps: Array, age: float) -> Array:
-    """Return ln A / A(0) of the loading at the ends of steps [s], shape (n,).
-
-    `response`: elastic, at the beginning and at those ends, shape (n + 1,).
-    """
-    ages = [age]
-    for step, before, after in zip(steps, response[:-1], response[1:], strict=True):
-        # What is built up in a step is half as old as the step at its end.
-        built = 0.5 * step * max(after - before, 0.0)
-        ages.append(((ages[-1] + step) * min(before, after) + built) / after)
-    return np.asarray(np.log(np.array(ages[1:]) / age))
+        age = max(estimate.mean_dwell_time, _LEAST_AGE)
+        # The data so far may widen what is stated, not shrink it.
+        found = estimate.law_error.kernel if estimate.law_error is not None else 0.0
+        relaxation = max(_LAW_ALONE * stated.kernel_sd, found) * stress
+        # New loading is younger: without it the relaxation is the largest.
+        ageing = np.log1p(np.cumsum(steps) / age)
+        return np.asarray(np.cumsum(grown) + (relaxation * ageing) ** 2)
 
 
 def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     planned = np.atleast_1d(np.asarray(values, dtype=float))
     if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
-        raise InputError(
-            f"plan: {instants.shape} times and {planned.shape} displacements; give as many of each"
-        )
+        raise InputError(f"plan: {instants.shape} times, {planned.shape} ways: give as many")
     steps = np.diff(instants, prepend=0.0)
     if not (np.all(steps > SHORTEST_STEP) and np.all(np.isfinite([steps, planned]))):
-        raise InputError(
-            "plan: times must increase from 0 by more than 10 µs each, and displacements be finite"
-        )
+        raise InputError("plan: times must increase by more than 10 µs, and ways be finite")
     return instants, planned

@@ -100,13 +100,20 @@ class ContactSession:
     def air_events(self) -> tuple[int, int, bool]:
         """As :func:`~fden_ros.core.input_warnings.input_warnings` takes them."""
         detector = self._detector
+        if detector.inertial:  # which makes the force rise and fall in the air
+            return 0, 0, detector.has_seen_air
         return detector.below_baseline, detector.drifts, detector.has_seen_air
 
     @property
     def warnings(self) -> dict[str, int]:
         """What was odd about the contacts, in words, and how often."""
-        strokes = self._strokes
+        strokes, detector = self._strokes, self._detector
+        inertia = (
+            f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "
+            "beyond the sensor (press slower)"
+        )
         return {
+            inertia: detector.inertial,
             **self._common.plausibility.found,
             self._tilt.words: self._tilt.count,
             strokes.warning: 1,
@@ -121,6 +128,11 @@ class ContactSession:
         """Return the force of a motion to come, as :meth:`~.site.Site.force_ahead` does."""
         site = self._sites.present if self.in_contact else None
         return site.force_ahead(times, displacements) if site is not None else None
+
+    def withdraw(self, flag: Flag) -> None:
+        """Say nothing more of the tissue under the probe, for the reason of a flag."""
+        if self._contact is not None and self._contact.state.is_open:
+            self._contact.site.withdraw(flag)
 
     def zero(self) -> float | str:
         """Measure the force in the air anew; return what it was [N], or why it is not known."""

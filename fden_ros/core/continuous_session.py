@@ -127,6 +127,9 @@ class ContinuousSession:
         self._modulus_per_stiffness = geometry.length * geometry.stress_per_force
         self.forget()
 
+    def withdraw(self, flag: Flag) -> None:
+        """Let it stand: no contact is known."""
+
     def forget(self, *, keeps_contact: bool = False) -> None:
         """Forget all but the numbers of the places."""
         self._blocks = BlockSums(self._config.block_duration, math.inf)

@@ -144,8 +144,11 @@ class Pipeline:
 
     @property
     def is_air_doubted(self) -> bool:
-        """Whether the force fell below its value in the air, as one of the wrong sign does."""
-        return self._session.air_events[0] > 0
+        """Whether the force fell below its value in the air, as one of the wrong sign does.
+
+        With the right signs it did so where a touch was not observed.
+        """
+        return self._session.air_events[0] > 0 and not self._direction.is_right
 
     # Inputs
 
@@ -284,6 +287,8 @@ class Pipeline:
             self._measured.add(pair)
             self._put(self._session.take(pair))
             session = self._session
+            if self._measured.is_saturated and session.in_contact:
+                session.withdraw(Flag.SATURATED)
             surface, bias = session.surface
             self._measured.assign(
                 session.contact_count, in_contact=session.in_contact, surface=surface, bias=bias

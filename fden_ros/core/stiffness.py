@@ -39,6 +39,9 @@ _FINE, _KNOWN, _LEAST_RISE = 0.02, 0.25, 3.0
 #: Loading ends where the probe slows down to half of the speed at which the force rose, a run
 #: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
 _SLOW, _REST, _DUE = 0.5, 8.0, 0.125
+#: The envelope of a force saturates where it rises by this part of what it did over as wide a
+#: window before, known to 3 standard errors, at least this part of the speed then, on 6 pieces.
+_FLAT, _ERRORS, _SPEED, _LEAST_FLAT = 0.25, 3.0, 0.8, 6
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
 #: Largest correlation of neighbouring residuals, and largest deviation of ln N/m by the law.
@@ -199,6 +202,41 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     return at(side), at(0.0)
 
 
+def _line(columns: Array) -> tuple[float, float]:
+    """Return the slope of a line through pieces and its standard error [N/m]."""
+    weights, way, force = columns[0], columns[3], columns[6]
+    way, force = (v - float(weights @ v) / float(weights.sum()) for v in (way, force))
+    spread = float(weights @ way**2)
+    slope = float(weights @ (way * force)) / spread
+    left = force - slope * way
+    variance = float(weights @ left**2) / (way.size - 2)
+    lagged = float(left[1:] @ left[:-1]) / max(float(left @ left), sys.float_info.min)
+    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    return slope, math.sqrt(variance / spread * (1.0 + correlated) / (1.0 - correlated))
+
+
+def _is_saturated(columns: Array, change: float) -> bool:
+    """Whether the force stands still at the end of loading, from which the columns begin.
+
+    Under a probe that goes on no tissue does that: the sensor, or its amplifier, is at its end.
+    Values that repeat are those of a slow sensor, or are rejected as stuck.
+    """
+    widths, times = np.cumsum(columns[0]), np.cumsum(columns[1])
+    count = _LEAST_FLAT
+    while count < widths.size and 2.0 * widths[count - 1] <= widths[-1]:
+        last = max(int(np.searchsorted(widths, 2.0 * widths[count - 1])) + 1, count + _LEAST_FLAT)
+        end, before = columns[:, :count], columns[:, count:last]
+        if before.shape[1] >= _LEAST_FLAT and np.ptp(end[6]) > 1e-9 * np.abs(end[6]).max():
+            (slope, error), (rise, rise_error) = _line(end), _line(before)
+            is_flat = abs(slope) + _ERRORS * error < _FLAT * (rise - _ERRORS * rise_error)
+            pace = float(before[0].sum()) / max(float(before[1].sum()), sys.float_info.min)
+            is_fast = widths[count - 1] > _SPEED * pace * times[count - 1]
+            if is_flat and is_fast and rise * widths[count - 1] > _LEAST_PART * change:
+                return True
+        count += max(count // 5, 1)
+    return False
+
+
 def _best(columns: Array, side: float, least_change: float, noise: float) -> _Window | None:
     """Return the slope at the end from which the columns begin; None: it is not known."""
     widths, count, last = np.cumsum(columns[0]), _LEAST_PIECES, columns.shape[1]
@@ -249,6 +287,8 @@ class MeasuredSlopes:
     def forget(self) -> None:
         """Forget the motion so far: the clock, or the place, is another."""
         self._newest = NOT_MEASURED
+        #: The force stood still under a probe that went on: no more of the contact is measured.
+        self.is_saturated = False
         self._run: _Run | None = None
         self._change = self._sign = 0.0  # of the force in the last run [N], and its direction
         self._roughness, self._last = 0.0, deque[float](maxlen=4)
@@ -286,14 +326,15 @@ class MeasuredSlopes:
         self._surface = surface - self._contact.series_compliance * bias
         if in_contact or self._is_continuous:
             kept = self._found.pop(contact_id, (NOT_MEASURED, 0.0))[0]
-            slopes = self._newest if self._is_continuous else kept.deepest(self._newest)
+            is_newest = self._is_continuous or self.is_saturated
+            slopes = self._newest if is_newest else kept.deepest(self._newest)
             self._found[contact_id] = slopes, self._surface
             if len(self._found) > 3:
                 del self._found[min(self._found)]
         elif self._was_in_contact:
             self.forget()
         else:
-            self._unseen = self._unseen.deepest(self._newest)
+            self._unseen, self.is_saturated = self._unseen.deepest(self._newest), False
         self._was_in_contact = in_contact
 
     def _finish(self) -> None:
@@ -310,6 +351,11 @@ class MeasuredSlopes:
         if columns.shape[1] < _LEAST_PIECES:
             return 0.0
         change = abs(float(columns[6, :3].mean() - columns[6, -3:].mean()))
+        is_press = run.sign > 0.0 and run is not self._run and not self._is_continuous
+        self.is_saturated |= is_press and _is_saturated(columns, change)
+        if self.is_saturated:
+            self._newest = NOT_MEASURED
+            return change
         # What a creeping probe has left in one direction is no loading of its own.
         left = _LEAST_OF_LAST * self._change if run.sign == self._sign else 0.0
         least = max(_LEAST_PART * change, left)

@@ -10,8 +10,7 @@ complex modulus (paper, eqs. Laplace to GpandGpp)
           G' = G \cos(\tfrac{\pi}{2}\alpha)\,\omega^\alpha, \qquad
           G'' = G \sin(\tfrac{\pi}{2}\alpha)\,\omega^\alpha .
 
-So in the log-log plane storage and loss modulus are two straight lines of the same slope alpha,
-and their distance is :math:`\log\tan(\pi\alpha/2)`.
+These are two straight lines of the slope alpha in the log-log plane.
 """
 
 from __future__ import annotations
@@ -24,19 +23,16 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from fden_ros.core.arrays import Array
 from fden_ros.experiments.columns import read_table
-from fden_ros.experiments.kinds import Options
 from fden_ros.experiments.regression import line_through, require_positive
 from fden_ros.experiments.result import Fit, Parameter, plain, positive, r_squared
 
 #: Deviations of alpha and ln G about the first sample's values, before any sample counts.
-_PRIOR_SD = (0.3, 3.0)
-_LEAST_NOISE = 1e-7
-#: A contradiction is reported beyond this many deviations.
-_CONTRADICTION = 3.0
-_NEGLIGIBLE_ORDER = 1e-3
+_PRIOR_SD, _LEAST_NOISE = (0.3, 3.0), 1e-7
+#: A contradiction is reported beyond this many deviations, and this difference of alpha.
+_CONTRADICTION, _NEGLIGIBLE_ORDER = 3.0, 1e-3
 
 
-def from_file(path: Path, options: Options) -> Fit:
+def from_file(path: Path) -> Fit:
     """Return the fit of a file of storage and loss moduli."""
     table = read_table(path)
     columns = [table.positive(n) for n in ("omega_rad_s", "storage_modulus_pa", "loss_modulus_pa")]
@@ -45,25 +41,15 @@ def from_file(path: Path, options: Options) -> Fit:
 
 
 def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
-    r"""Return alpha and G from storage and loss modulus (paper, Appendix C).
+    r"""Return alpha and G from omega [rad/s], G' and G'' [Pa], (n,) each (paper, Appendix C).
 
     An extended Kalman filter with the constant state (alpha, ln G) observes
     :math:`(\log G', \log G'')`, frequency after frequency. The paper starts it at zero, where the
-    logarithm is infinite; it starts at what the first pair says by itself,
-    :math:`\alpha = \tfrac{2}{\pi}\arctan(G''/G')` and :math:`G = |G^*|/\omega^\alpha`, with wide
-    deviations. The noise is not known beforehand: a first run, equally sure of both moduli, gives
-    the residuals, and a second takes the variance of each modulus from them.
+    logarithm is infinite; it starts at what the first pair shows, with wide deviations. The
+    residuals of one run give the noise of each modulus for the next.
 
-    Beside it ``slope`` has the alpha of the slope of \|G*\|, ``phase`` that of the mean phase;
-    some tissue has a larger phase than its slope says (Kobayashi et al., arXiv:1804.00979). Where
-    they contradict each other, no single springpot describes the data: a warning says so.
-
-    Parameters
-    ----------
-    omega : ndarray, shape (n,)
-        Angular frequency [rad/s].
-    storage, loss : ndarray, shape (n,)
-        G' and G'' [Pa].
+    The slope of \|G*\| and the mean phase each have an alpha. Where they contradict each other, as
+    of some tissue (Kobayashi et al., arXiv:1804.00979), a warning has both.
     """
     require_positive(omega=omega, storage_modulus=storage, loss_modulus=loss)
     order = np.argsort(omega, kind="stable")
@@ -83,23 +69,12 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
         "alpha": plain(state[0], deviations[0], dof),
         "g": positive(state[1], deviations[1], dof),
     }
-    phase = alpha_by_phase(np.arctan2(moduli[:, 1], moduli[:, 0]))
+    orders = 2.0 / math.pi * np.arctan2(moduli[:, 1], moduli[:, 0])
+    sd = orders.std(ddof=1) / math.sqrt(orders.size) if dof > 0 else math.nan
+    phase = plain(float(orders.mean()), sd, dof)
     slope = line_through(np.log(omega), np.log(np.hypot(*moduli.T))).plain(1.0)
-    return Fit(
-        "dynamic",
-        parameters,
-        r_squared(logs, _predicted(state, np.log(omega))),
-        omega.size,
-        _contradiction(slope, phase),
-        {"slope": {"alpha": slope}, "phase": {"alpha": phase}},
-    )
-
-
-def alpha_by_phase(angles: Array) -> Parameter:
-    """Return the alpha that the loss angles [rad] say (n,)."""
-    orders = 2.0 / math.pi * angles
-    sd = orders.std(ddof=1) / math.sqrt(orders.size) if orders.size > 1 else math.nan
-    return plain(float(orders.mean()), sd, orders.size - 1.0)
+    fitted = r_squared(logs, _predicted(state, np.log(omega)))
+    return Fit("dynamic", parameters, fitted, omega.size, _contradiction(slope, phase))
 
 
 def _predicted(state: Array, log_omega: Array) -> Array:
@@ -127,8 +102,7 @@ def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
             return np.column_stack([slopes, np.ones(2)])
 
         def expected(state: Array, position: float = position) -> Array:
-            values: Array = _predicted(state, np.array([position]))[0]
-            return values
+            return np.asarray(_predicted(state, np.array([position]))[0])
 
         ekf.update(observed, jacobian, expected)
         # One pair of moduli can throw alpha out of its range, where the model has no logarithm.
@@ -138,11 +112,10 @@ def _filter(log_omega: Array, logs: Array, noise: Array) -> tuple[Array, Array]:
 
 def _contradiction(slope: Parameter, phase: Parameter) -> tuple[str, ...]:
     """Return a warning if the alphas of slope and phase exclude each other."""
-    difference, sd = abs(slope.value - phase.value), math.hypot(slope.sd, phase.sd)
-    if not difference > max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
+    sd = math.hypot(slope.sd, phase.sd)
+    if not abs(slope.value - phase.value) > max(_CONTRADICTION * sd, _NEGLIGIBLE_ORDER):
         return ()
     return (
         f"slope and phase contradict each other: alpha is {slope.value:.3f} by the slope, "
-        f"{phase.value:.3f} by G''/G' ({difference / max(sd, 1e-12):.0f} deviations apart); one "
-        "springpot does not describe both",
+        f"{phase.value:.3f} by G''/G'; one springpot does not describe both",
     )

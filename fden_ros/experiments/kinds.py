@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from fden_ros.errors import InputError
 
@@ -18,43 +17,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """What a file does not say itself.
+    """What a file does not say itself."""
 
-    Parameters
-    ----------
-    stress : float, optional
-        Constant stress of a creep test [Pa].
-    strain : float, optional
-        Constant strain of a relaxation test [1].
-    start : float, optional
-        Rows before this time [s] are left out; None: 1 s for creep, else nothing.
-    alpha, alpha_sd : float
-        Fractional order from elsewhere, and its deviation.
-    """
-
-    stress: float | None = None
-    strain: float | None = None
+    stress: float | None = None  #: constant stress of a creep test [Pa]
+    strain: float | None = None  #: constant strain of a relaxation test [1]
+    #: Rows before this time [s] are left out; None: 1 s for creep, otherwise nothing.
     start: float | None = None
-    alpha: float | None = None
-    alpha_sd: float = 0.0
+    alpha: float | None = None  #: fractional order from elsewhere
+    alpha_sd: float = 0.0  #: and its deviation
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One kind of experiment.
+class Experiment(NamedTuple):
+    """One kind of experiment."""
 
-    Parameters
-    ----------
-    files : tuple of (str, str)
-        The columns of each kind of file, and what is found from it.
-    options : tuple of str
-        Those of ``fden fit`` that count.
-
-    The module of its name has ``from_file``, which takes a path and :class:`Options`.
-    """
-
-    files: tuple[tuple[str, str], ...]
-    options: tuple[str, ...] = ()
+    files: tuple[tuple[str, str], ...]  #: columns of each kind of file, and what they give
+    options: tuple[str, ...] = ()  #: those of ``fden fit`` that count
 
 
 _ALL = "alpha, G, Gn, Gi, xb"
@@ -81,20 +58,20 @@ EXPERIMENTS = {
 
 
 def fit_file(kind: str, path: str | Path, options: Options) -> Fit:
-    """Fit the experiment `kind` to a CSV file, or to a folder of them where several may be given.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used; one line that says what would be right.
-    """
+    """Fit the experiment `kind` to a table, or to a folder of them, or raise `InputError`."""
+    from fden_ros.experiments import dynamic, nonlinearity, steps
     from fden_ros.experiments.result import undetermined
 
-    if not Path(path).exists():
+    path = Path(path)
+    if not path.exists():
         raise InputError(f"{path} does not exist; give a CSV file")
-    module = importlib.import_module(f"fden_ros.experiments.{kind}")
     try:
-        fit: Fit = module.from_file(Path(path), options)
+        if kind == "dynamic":
+            fit = dynamic.from_file(path)
+        elif kind == "nonlinearity" and not path.is_dir():
+            fit = nonlinearity.from_file(path, options)
+        else:
+            fit = steps.fit_of("creep" if kind == "nonlinearity" else kind, path, options)
     except InputError as error:
         # The fit itself does not know the file.
         named = str(path) in str(error)

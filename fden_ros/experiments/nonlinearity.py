@@ -1,38 +1,30 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Nonlinearity: creep at several stresses, or their coefficients.
+r"""Nonlinearity: stresses and strain coefficients of creep tests, or other pairs of phi.
 
-Each creep test gives a pair (fc, xc). At 1 s the exact creep (:mod:`fden_ros.experiments.creep`)
-says :math:`\varphi(x_c) = f_c/\Gamma(1+\alpha)`, so the pairs lie on the characteristic phi once
-the stress is divided by Gamma(1+alpha). The paper leaves the factor out (eqs. exponentialLinear
-to parameter5): its convention gives :math:`G\,\Gamma(1+\alpha)` in place of G, 6 to 7 % less at
-alpha 0.13, and the coefficients of log-log lines through curves that are none beyond 1/Gn cost
-some percent more. Gn hardly changes.
+At 1 s the exact creep (:mod:`fden_ros.experiments.steps`) gives
+:math:`\varphi(x_c) = f_c/\Gamma(1+\alpha)`, so the pairs lie on the characteristic phi once the
+stress is divided by Gamma(1+alpha). The paper leaves the factor out (eqs. exponentialLinear to
+parameter5): its convention gives :math:`G\,\Gamma(1+\alpha)` in place of G, 6 to 7 % less at
+alpha 0.13. Gn hardly changes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.special import digamma, gamma, gammaln
+from scipy.special import digamma, gamma
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law import log_phi, log_strain
 from fden_ros.errors import InputError
-from fden_ros.experiments.columns import csv_files, read_table
-from fden_ros.experiments.creep import CreepTest, fit_creep, read_creep_test
+from fden_ros.experiments.columns import read_table
 from fden_ros.experiments.kinds import Options
-from fden_ros.experiments.regression import (
-    Solution,
-    minimise,
-    minimise_logarithms,
-    require_positive,
-)
+from fden_ros.experiments.regression import Solution, minimise, require_positive
 from fden_ros.experiments.result import Fit, Parameter, plain, r_squared
 
 #: Stresses of creep, or strains of relaxation, at which there must be tests.
@@ -42,18 +34,9 @@ LOG_RANGE = (math.log(0.3), math.log(100.0))
 
 
 def from_file(path: Path, options: Options) -> Fit:
-    """Return the fit of a folder of creep tests, or of a file of stresses and coefficients."""
-    if path.is_dir():
-        tests = [read_creep_test(p, replace(options, stress=None)) for p in csv_files(path)]
-        if len({test.stress for test in tests}) < LEAST_LEVELS:
-            raise InputError(
-                f"{path} holds creep tests at fewer than 3 stresses; nonlinearity needs 3 or more"
-            )
-        return fit_creep_series(tests)
+    """Return the fit of a file of stresses and coefficients."""
     table = read_table(path)
-    coefficient = table.positive("strain_coefficient")
-    stress = table.positive("stress_pa")
-    table.checked_strain(coefficient)
+    coefficient, stress = table.positive("strain_coefficient"), table.positive("stress_pa")
     table.require_rows(LEAST_LEVELS, "a nonlinearity fit")
     fit = fit_nonlinearity(stress, coefficient, options.alpha, options.alpha_sd)
     if options.alpha is not None:
@@ -71,93 +54,29 @@ def fit_nonlinearity(
     fractional_order: float | None = None,
     fractional_order_sd: float = 0.0,
 ) -> Fit:
-    r"""Return G, Gn, Gi and xb from pairs of stress and strain coefficient.
+    r"""Return G, Gn, Gi and xb from stresses [Pa] and strain coefficients [s^-alpha], (n,) each.
 
-    The stress of a creep test is imposed and the coefficient measured, so the smooth estimator
-    fits :math:`\log x_c` over the stress, :math:`x_c = \varphi^{-1}(f_c/\Gamma(1+\alpha))`, by
-    least squares: one observation over both branches, where the paper's filter switches. R² is
-    that of the stress.
-
-    Parameters
-    ----------
-    stress : ndarray, shape (n,)
-        Constant stresses fc [Pa], positive.
-    coefficient : ndarray, shape (n,)
-        Strain coefficients xc [s^-alpha], positive: the strain at 1 s.
-    fractional_order : float, optional
-        alpha [1] of these tests. None takes the paper's convention, without Gamma(1+alpha).
-    fractional_order_sd : float
-        Its standard deviation.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 3 pairs of different stress.
+    Least squares fit :math:`\log x_c` over the stress, which is imposed: one observation over both
+    branches, where the paper's filter switches. R² is that of the stress. Without a fractional
+    order [1] it takes the paper's convention, without Gamma(1+alpha).
     """
     require_positive(stress=stress, strain_coefficient=coefficient)
     order = np.argsort(stress, kind="stable")
     stress, coefficient = stress[order], coefficient[order]
     if np.unique(stress).size < LEAST_LEVELS:
         raise InputError("nonlinearity needs creep tests at 3 different stresses or more")
-    factor = 1.0 if fractional_order is None else float(gamma(1.0 + fractional_order))
-    static = stress / factor
-    solution = fit_pairs(static, coefficient)
-    by_order = 0.0 if fractional_order is None else float(digamma(1.0 + fractional_order))
+    alpha = fractional_order or 0.0
+    factor = float(gamma(1.0 + alpha))
+    solution = fit_pairs(stress / factor, coefficient)
     # ln G carries -ln Gamma(1 + alpha), and with it alpha's own uncertainty.
-    solution.covariance[0, 0] += (by_order * fractional_order_sd) ** 2
+    solution.covariance[0, 0] += (digamma(1.0 + alpha) * fractional_order_sd) ** 2
     parameters = law_parameters(solution, 0)
     if fractional_order is not None:
-        parameters["alpha"] = plain(fractional_order, fractional_order_sd)
-    log_g, log_g_n = solution.values
-    return Fit(
-        "nonlinearity",
-        parameters,
-        r_squared(stress, np.exp(log_phi(coefficient, log_g, log_g_n)) * factor),
-        stress.size,
-        (*undetermined_stiffening(float(coefficient.max()), log_g_n), *solution.warnings()),
-    )
-
-
-def fit_creep_series(tests: Sequence[CreepTest]) -> Fit:
-    r"""Return alpha, G, Gn, Gi and xb from creep curves at several stresses, all at once.
-
-    Exact also where a curve is no power law: least squares of log x over all samples with
-    :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`. Beside it, as
-    ``coefficients``, stands what comes of a coefficient for each curve, which is the paper's
-    procedure but for the factor Gamma(1+alpha).
-
-    Parameters
-    ----------
-    tests : sequence of CreepTest
-        At 3 different stresses or more.
-    """
-    stresses = np.array([test.stress for test in tests])
-    creeps = [fit_creep(*test) for test in tests]
-    coefficients = np.array([creep["x_c"].value for creep in creeps])
-    alpha, alpha_sd = creeps[int(np.argmin(stresses))]["alpha"][:2]
-    pairs = fit_nonlinearity(stresses, coefficients, alpha, alpha_sd if alpha_sd > 0.0 else 0.0)
-    time, strain = (np.concatenate([test[i] for test in tests]) for i in (0, 1))
-    stress = np.concatenate([np.full(test.time.size, test.stress) for test in tests])
-
-    def predicted(values: Array) -> Array:
-        return _log_creep(time, np.log(stress), values)
-
-    start = np.array([alpha, math.log(pairs["g"].value), math.log(pairs["g_n"].value)])
-    low, high = LOG_RANGE
-    bounds = np.array([1e-4, -np.inf, low]), np.array([0.999, np.inf, high])
-    logs = np.log(strain)
-    solution = minimise_logarithms(predicted, logs, start, *bounds)
-    return Fit(
-        "nonlinearity",
-        {"alpha": solution.plain(1.0), **law_parameters(solution, 1)},
-        r_squared(logs, predicted(solution.values)),
-        time.size,
-        (
-            *undetermined_stiffening(float(strain.max()), solution.values[2]),
-            *solution.warnings(),
-        ),
-        {"coefficients": pairs.parameters},
-    )
+        parameters["alpha"] = plain(alpha, fractional_order_sd)
+    fitted = r_squared(stress, np.exp(log_phi(coefficient, *solution.values)) * factor)
+    shallow = undetermined_stiffening(float(coefficient.max()), solution.values[1])
+    warnings = (*shallow, *solution.warnings())
+    return Fit("nonlinearity", parameters, fitted, stress.size, warnings)
 
 
 def fit_pairs(static: Array, coefficient: Array) -> Solution:
@@ -172,19 +91,11 @@ def fit_pairs(static: Array, coefficient: Array) -> Solution:
     )
 
 
-def _log_creep(time: Array, log_stress: Array | float, values: Array) -> Array:
-    """Return ln x of the exact creep at times (n,) for (alpha, ln G, ln Gn)."""
-    log_phis = log_stress + values[0] * np.log(time) - gammaln(1.0 + values[0])
-    return log_strain(log_phis, values[1], values[2])
-
-
 def _start(strain: Array, phi_values: Array) -> Array:
     """Return (ln G, ln Gn), shape (2,), roughly: the best of a grid for points of phi (n,)."""
     secants = np.log(phi_values / strain)
-    deepest = float(strain.max())
     log_g = np.linspace(secants.min() - 1.0, secants.max(), 40)
-    scaled = np.geomspace(1.0, 12.0, 40)
-    log_g_n = np.clip(np.log(scaled / deepest), *LOG_RANGE)
+    log_g_n = np.clip(np.log(np.geomspace(1.0, 12.0, 40) / strain.max()), *LOG_RANGE)
     shapes = np.array([log_phi(strain, 0.0, n) for n in log_g_n]) - np.log(phi_values)
     misfit = np.sum((log_g[:, None, None] + shapes) ** 2, axis=2)
     best_g, best_n = np.unravel_index(int(np.argmin(misfit)), misfit.shape)

@@ -13,16 +13,14 @@ model does not follow the data, n rows say less than n: the covariance is widene
 :math:`(1+\rho)/(1-\rho)` with :math:`\rho` their first autocorrelation, and the degrees of
 freedom shrink by as much. Means of 20 blocks show what is slower.
 
-A logarithm of noisy values is biased: if :math:`y = \hat y (1+\epsilon)` with
-:math:`E\epsilon = 0`, then :math:`E \log y \approx \log\hat y - \sigma^2/2`. Fits of logarithms
-add the estimated :math:`\sigma^2/2` back.
+A logarithm of noisy values is biased by :math:`-\sigma^2/2`: fits of logarithms add it back.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -43,28 +41,14 @@ _BLOCKS, _LEAST_BLOCK, _WHITE_RATIO = 20, 4, 1.65
 _NEGLIGIBLE_RESIDUAL = 1e-4
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Parameters of a least-squares fit.
+class Solution(NamedTuple):
+    """Parameters of a least-squares fit."""
 
-    Parameters
-    ----------
-    values : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
-        NaN if there are no more rows than parameters.
-    dof : float
-        Degrees of freedom behind the covariance, after correlation.
-    residuals : ndarray, shape (n,)
-        Observed less predicted.
-    correlation : float
-        First autocorrelation of the residuals if it is significant, else 0.
-    """
-
-    values: Array
-    covariance: Array
-    dof: float
-    residuals: Array
-    correlation: float
+    values: Array  #: (p,)
+    covariance: Array  #: (p, p); NaN if there are no more rows than parameters
+    dof: float  #: degrees of freedom behind the covariance, after correlation
+    residuals: Array  #: observed less predicted (n,)
+    correlation: float  #: first autocorrelation of the residuals if it is significant, otherwise 0
 
     @property
     def sds(self) -> Array:
@@ -77,24 +61,21 @@ class Solution:
         freedom = max(self.residuals.size - self.values.size, 1)
         return math.sqrt(float(self.residuals @ self.residuals) / freedom)
 
-    def deviation(self, gradient: Array) -> float:
-        """Return the standard deviation of a function with this gradient by the parameters."""
-        variance = float(gradient @ self.covariance @ gradient)
-        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.nan
-
     def plain(self, *gradient: float) -> Parameter:
         """Return a sum of the parameters, each times its number of `gradient`."""
-        row = self._row(gradient)
-        return plain(float(row @ self.values), self.deviation(row), self.dof)
+        return plain(*self._sum(gradient), self.dof)
 
     def positive(self, *gradient: float, log_value: float | None = None) -> Parameter:
-        """Return what has that sum, or else `log_value` with that gradient, as its logarithm."""
-        row = self._row(gradient)
-        value = float(row @ self.values) if log_value is None else log_value
-        return positive(value, self.deviation(row), self.dof)
+        """Return what has that sum, or `log_value` with that gradient, as its logarithm."""
+        value, sd = self._sum(gradient)
+        return positive(value if log_value is None else log_value, sd, self.dof)
 
-    def _row(self, gradient: tuple[float, ...]) -> Array:
-        return np.pad(np.array(gradient, dtype=float), (0, self.values.size - len(gradient)))
+    def _sum(self, gradient: tuple[float, ...]) -> tuple[float, float]:
+        """Return a sum of the parameters and its standard deviation."""
+        row = np.pad(np.array(gradient, dtype=float), (0, self.values.size - len(gradient)))
+        variance = float(row @ self.covariance @ row)
+        sd = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.nan
+        return float(row @ self.values), sd
 
     def warnings(self) -> tuple[str, ...]:
         """Return a warning if the residuals are correlated."""
@@ -133,23 +114,15 @@ def line_through(x: Array, y: Array) -> Solution:
 def line_through_logarithms(x: Array, y: Array) -> Solution:
     """Fit ``log y = values[0] log x + values[1]``, the bias of log y taken off."""
     first = line_through(np.log(x), np.log(y))
-    values = first.values + np.array([0.0, half_variance(first.residuals, 2)])
-    return Solution(values, first.covariance, first.dof, first.residuals, first.correlation)
+    return first._replace(
+        values=first.values + np.array([0.0, _half_variance(first.residuals, 2)])
+    )
 
 
 def minimise(
     residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]
 ) -> Solution:
-    """Minimise the sum of squares of `residuals` (predicted less observed) from `start`.
-
-    Parameters
-    ----------
-    residuals : callable
-        Parameters (p,) to residuals (n,).
-    start : ndarray, shape (p,)
-    bounds : tuple of ndarray
-        Least and greatest parameters.
-    """
+    """Minimise the squares of `residuals` (n,), predicted less observed, from `start` (p,)."""
     found = least_squares(
         residuals, start, bounds=bounds, x_scale="jac",
         xtol=1e-11, ftol=1e-12, gtol=1e-14, max_nfev=200,
@@ -164,26 +137,22 @@ def minimise_logarithms(
     start, shift = np.clip(start, low + 1e-3, high - 1e-3), 0.0
     for _ in range(2):
         solution = minimise(lambda v, s=shift: predicted(v) - logs - s, start, (low, high))  # type: ignore[misc]
-        start, shift = solution.values, half_variance(solution.residuals, start.size)
+        start, shift = solution.values, _half_variance(solution.residuals, start.size)
     return solution
 
 
-def half_variance(residuals: Array, parameters: int) -> float:
+def _half_variance(residuals: Array, parameters: int) -> float:
     """Return sigma²/2 of the residuals of a fit of logarithms; 0 without degrees of freedom."""
     dof = residuals.size - parameters
     return 0.5 * float(residuals @ residuals) / dof if dof > 0 else 0.0
 
 
-def first_correlation(residuals: Array) -> float:
+def _first_correlation(residuals: Array) -> float:
     """Return the first autocorrelation of `residuals` (n,); 0 if white noise could cause it."""
-    if residuals.size < _MIN_ROWS_FOR_CORRELATION:
-        return 0.0
-    power = float(residuals @ residuals)
-    # Residuals of rounding's size have no statistics.
-    if power == 0.0:
-        return 0.0
+    power = max(float(residuals @ residuals), 1e-300)
     correlation = float(residuals[1:] @ residuals[:-1]) / power
-    return correlation if correlation > 2.0 / math.sqrt(residuals.size) else 0.0
+    is_clear = correlation > 2.0 / math.sqrt(residuals.size)
+    return correlation if is_clear and residuals.size >= _MIN_ROWS_FOR_CORRELATION else 0.0
 
 
 def _widening(correlation: float, rows: int, parameters: int) -> float:
@@ -192,12 +161,8 @@ def _widening(correlation: float, rows: int, parameters: int) -> float:
 
 
 def _slow_widening(residuals: Array) -> float:
-    """Return by what factor the variance of block means exceeds that of white residuals.
-
-    A drift that is small next to the noise hardly shows in the first autocorrelation.
-    """
-    size = residuals.size // _BLOCKS
-    variance = float(np.var(residuals))
+    """Return by what factor the variance of block means exceeds that of white residuals."""
+    size, variance = residuals.size // _BLOCKS, float(np.var(residuals))
     if size < _LEAST_BLOCK or variance <= 0.0:
         return 1.0
     means = residuals[: size * _BLOCKS].reshape(_BLOCKS, size).mean(axis=1)
@@ -207,16 +172,15 @@ def _slow_widening(residuals: Array) -> float:
 
 def _solution(values: Array, residuals: Array, jacobian: Array) -> Solution:
     rows, parameters = residuals.size, values.size
-    nothing = np.full((parameters, parameters), np.nan)
-    if rows <= parameters:
-        return Solution(values, nothing, 0.0, residuals, 0.0)
     try:
         bread = np.linalg.inv(jacobian.T @ jacobian)
     except np.linalg.LinAlgError:
-        return Solution(values, nothing, 0.0, residuals, 0.0)
+        rows = 0
+    if rows <= parameters:
+        return Solution(values, np.full((parameters,) * 2, np.nan), 0.0, residuals, 0.0)
     leverage = np.minimum(np.einsum("ij,jk,ik->i", jacobian, bread, jacobian), _MAX_LEVERAGE)
     weighted = jacobian * (residuals / (1.0 - leverage))[:, None]
-    correlation = first_correlation(residuals)
+    correlation = _first_correlation(residuals)
     factor = max(_widening(correlation, rows, parameters), _slow_widening(residuals))
     meat = factor * weighted.T @ weighted
     dof = max(rows / factor - parameters, min(rows - parameters, _LEAST_DOF))

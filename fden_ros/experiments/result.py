@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +15,7 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
 
-#: Probability that an interval covers the truth.
-CONFIDENCE = 0.95
+#: Of an interval that covers the truth in 95 % [standard deviations].
 _NORMAL_REACH = 1.959964
 
 
@@ -31,31 +30,15 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """The outcome of one experiment.
+    """The outcome of one experiment."""
 
-    Parameters
-    ----------
-    kind : str
-        The experiment, as in ``fden fit KIND``.
-    parameters : mapping of str to Parameter
-        By key: ``alpha`` [1], ``g`` [Pa s^alpha], ``g_n`` [1], and what else the experiment gives:
-        ``x_c`` [s^-alpha], ``g_i`` [Pa s^alpha], ``x_b`` [1].
-    r_squared : float
-        Coefficient of determination; NaN if the data do not vary.
-    samples : int
-        Rows that the fit used.
-    warnings : tuple of str
-        What contradicts the model or the reading of the file, one line each.
-    beside : mapping of str to mapping
-        The same parameters by other procedures, for comparison.
-    """
-
-    kind: str
+    kind: str  #: as in ``fden fit KIND``
+    #: ``alpha`` [1], ``g`` [Pa s^alpha], ``g_n`` [1], and what else the experiment gives:
+    #: ``x_c`` [s^-alpha], ``f_c``, ``g_i`` [Pa s^alpha], ``x_b`` [1].
     parameters: Mapping[str, Parameter]
-    r_squared: float
-    samples: int
-    warnings: tuple[str, ...] = ()
-    beside: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
+    r_squared: float  #: coefficient of determination; NaN if the data do not vary
+    samples: int  #: rows that the fit used
+    warnings: tuple[str, ...] = ()  #: what contradicts the model or the reading, a line each
 
     def __getitem__(self, name: str) -> Parameter:
         """Return one parameter."""
@@ -70,7 +53,6 @@ class Fit:
             "samples": self.samples,
             **_flat({**always, **self.parameters}),
             "r2": _finite(self.r_squared),
-            **{name: _flat(values) for name, values in self.beside.items()},
             "warnings": list(self.warnings),
         }
 
@@ -78,23 +60,18 @@ class Fit:
 def plain(value: float, sd: float = math.nan, dof: float = math.inf) -> Parameter:
     """Return a parameter with the interval of Student's t at `dof` degrees of freedom.
 
-    Its deviation is the interval's, so few degrees of freedom widen that too: ±1.96 deviations
-    cover the truth in 95 % also where `sd` was estimated from a handful of residuals.
+    Its deviation is the interval's, so few degrees of freedom widen that too.
     """
     reach = _quantile(dof) * sd
-    return Parameter(
-        float(value), float(reach / _NORMAL_REACH), float(value - reach), float(value + reach)
-    )
+    return Parameter(float(value), float(reach / _NORMAL_REACH), value - reach, value + reach)
 
 
 def positive(log_value: float, log_sd: float = math.nan, dof: float = math.inf) -> Parameter:
     """Return a positive parameter from its logarithm; the interval is symmetric in the log."""
     value, reach = math.exp(log_value), _quantile(dof) * log_sd
     with np.errstate(over="ignore"):
-        high = float(np.exp(log_value + reach))
-    return Parameter(
-        value, float(value * reach / _NORMAL_REACH), float(np.exp(log_value - reach)), high
-    )
+        low, high = np.exp([log_value - reach, log_value + reach]).tolist()
+    return Parameter(value, float(value * reach / _NORMAL_REACH), low, high)
 
 
 def undetermined(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
@@ -113,9 +90,9 @@ def r_squared(observed: Array, predicted: Array) -> float:
 
 
 def _quantile(dof: float) -> float:
-    if dof <= 0.0:
-        return math.nan
-    return _NORMAL_REACH if math.isinf(dof) else float(stdtrit(dof, 0.5 + 0.5 * CONFIDENCE))
+    if math.isinf(dof):
+        return _NORMAL_REACH
+    return float(stdtrit(dof, 0.975)) if dof > 0.0 else math.nan
 
 
 def _flat(parameters: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from rclpy.event_handler import QoSSubscriptionEventType, UnsupportedEventTypeEr
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.subscription import Subscription
 
+from fden_ros.inputs import DAMAGED, Inputs, stream_of
 from fden_ros.recording.message_types import decoder
-from fden_ros.ros.inputs import DAMAGED, Inputs, stream_of
 
 #: Messages are taken so often [s].
 TAKE_PERIOD = 0.005

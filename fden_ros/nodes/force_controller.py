@@ -29,8 +29,8 @@ from fden_ros.tissue_feed import TissueFeed
 #: Name, default and meaning, with its unit, of every parameter.
 PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("identifier", "identifier", "name of the identifier node"),
-    ("scheduled", True, "gains from the live stiffness; false: fixed gains"),
-    ("safe_stiffness", 130.0, "stiffness for which the fixed gains are made [N/m]"),
+    ("scheduled", True, "gains from the live stiffness; false: the safe ones"),
+    ("safe_stiffness", 130.0, "stiffness for which the safe gains are made [N/m]"),
     ("force_limit", 0.32, "the force shall stay below it [N]"),
     ("bandwidth", 12.0, "of the force [rad/s]"),
     ("reaction_time", 0.06, "from a change of the force to the axis answering [s]"),
@@ -59,7 +59,7 @@ class ForceControllerNode(Node):
         super().__init__("force_controller", **options)
         values = declared(self, PARAMETERS)
         self._values = values
-        names = "safe_stiffness", "force_limit", "scheduled", "bandwidth", "reaction_time"
+        names = "safe_stiffness", "force_limit", "bandwidth", "reaction_time"
         config = ForceControlConfig(**{name: values[name] for name in names})
         self._controller = ForceController(config)
         self._places = _places(values["program.x"], values["program.y"])
@@ -113,7 +113,7 @@ class ForceControllerNode(Node):
         force -= self._bias
         self._follow_program(now)
         found = self._feed.stiffness(1.0 / self._values["bandwidth"])
-        known = found[:2] if found is not None else None
+        known = found[:2] if found is not None and self._values["scheduled"] else None
         velocity = self._controller.step(now, force, self._depth, self._target, known)
         if self._target <= 0.0 and self._depth < -_LIFT:
             velocity = 0.0

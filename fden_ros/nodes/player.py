@@ -12,11 +12,11 @@ from dataclasses import replace
 from rclpy.duration import Duration
 
 from fden_ros.errors import InputError
+from fden_ros.inputs import TYPE_NAMES
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.message_types import message_class, type_hash
 from fden_ros.recording.qos import RELIABLE
 from fden_ros.recording.reader import BagReader
-from fden_ros.ros.inputs import TYPE_NAMES
 from fden_ros.ros.plain_node import plain_node
 
 _INPUT_TYPES = {*TYPE_NAMES["force"].values(), *TYPE_NAMES["displacement"].values()}

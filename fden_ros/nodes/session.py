@@ -24,6 +24,7 @@ from rclpy.time import Time
 
 from fden_ros.core.outputs import ContactSummary, Output, Status, TissueState, late, placed, stale
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.inputs import TRANSFORMS, TYPE_NAMES, Inputs
 from fden_ros.nodes.backlog import TAKE_PERIOD, Backlog, Taken
 from fden_ros.nodes.input_problems import ListenedTo
 from fden_ros.nodes.lag import Lag
@@ -31,7 +32,6 @@ from fden_ros.offline.advice import shortfall
 from fden_ros.offline.thickness import assumed
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.message_types import message_class
-from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES, Inputs
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
 #: Whether the input has stopped is looked at so often [s].

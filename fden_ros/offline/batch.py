@@ -3,10 +3,8 @@
 
 """An archive of recordings, identified by several processes: a table with a row a contact.
 
-The processes are those of an executor: of this machine, or of a cluster.
-
 The rows of a bag are in the table as soon as it is done. So a run that is interrupted goes on
-where it was: a bag whose rows are there with the same configuration is not done again.
+where it was: a bag whose rows are there is not done again.
 """
 
 from __future__ import annotations
@@ -26,19 +24,19 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fden_ros import __version__
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.errors import InputError
 from fden_ros.offline.parquet import write_parquet
 from fden_ros.offline.replay import replay
 from fden_ros.offline.rows import COLUMNS, contact_row
-from fden_ros.offline.session import Innovations
-from fden_ros.offline.workers import SAME_VERSION, is_killed
+from fden_ros.offline.workers import SAME_VERSION
 from fden_ros.parameters import Parameters
 from fden_ros.recording.places import NOT_REACHED, exists, is_folder, is_remote, place, reached
 from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
-from fden_ros.recording.text import TABLE_SUFFIXES, layout_of
 from fden_ros.tissues.library import load_library
 
 #: Of the bag: what it was identified with, what was chosen in it, what is wrong with it, its
@@ -47,6 +45,9 @@ _BAG_COLUMNS = (
     "bag", "configuration", "inputs", "error", "warnings", "seconds", "pairs", "contacts",
 )  # fmt: skip
 
+_HEADING = ",".join(_BAG_COLUMNS).encode()
+#: Tables that are taken from a folder; any is where it is named.
+_TABLES = (".csv", ".tsv")
 #: How the error of a recording begins that is done again the next time.
 KILLED = "its worker was killed"
 #: Recordings that are handed out at once: the cores of a large cluster, and little memory.
@@ -57,14 +58,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Work:
-    """What every bag is identified with.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    selection : Selection
-        Topics or fields.
-    """
+    """What every bag is identified with: parameters, and topics or fields."""
 
     parameters: Parameters
     selection: Selection
@@ -88,15 +82,16 @@ def find_bags(places: Sequence[str]) -> list[Path]:
     InputError
         If no place holds any.
     """
-    found: dict[Path, None] = {}
-    empty: dict[Path, None] = {}
+    found: set[Path] = set()
+    empty: set[Path] = set()
     for text in places:
         paths = _matches(text)
-        for path in paths or [place(text)]:
+        for path in paths:
             with reached(path):
-                bags = dict.fromkeys(map(_absolute, _bags_at(path))) if paths else {}
+                bags = set(map(_absolute, _bags_at(path)))
             found |= bags
-            empty |= {} if bags else {_absolute(path): None}
+            empty |= set() if bags else {_absolute(path)}
+        empty |= set() if paths else {_absolute(place(text))}
     if not found:
         where = ", ".join(places)
         raise InputError(f"{where} holds no bag: give a folder of bags, or a pattern of some")
@@ -136,33 +131,17 @@ def _bags_at(path: Path) -> Iterator[Path]:
 
 
 def _is_table(path: Path) -> bool:
-    """Return whether a file found in a folder is a recording: a table, not of results, no text."""
-    suffix = (Path(path.stem) if path.suffix.lower() == ".gz" else path).suffix.lower()
-    if suffix not in TABLE_SUFFIXES:
-        return False
-    is_text = suffix == ".txt"
-    if is_remote(path):
+    """Return whether a file found in a folder is a recording: a table, and not one of results."""
+    name = path.name.lower().removesuffix(".gz")
+    if is_remote(path) or path.name.lower().endswith(".gz"):
         # To look into each would read them all twice.
-        return not is_text
-    try:
-        layout = layout_of(path)
-    except InputError:
-        return not is_text
-    if layout.headings[: len(_BAG_COLUMNS)] == tuple(_BAG_COLUMNS):
-        return False
-    numbers = sum(layout.holds_numbers(index) for index in range(layout.width))
-    return not is_text or numbers > 1
+        return name.endswith(_TABLES)
+    with path.open("rb") as file:
+        return name.endswith(_TABLES) and not file.readline(99).startswith(_HEADING)
 
 
 def identify(bag: str, work: Work) -> list[Row]:
-    """Return the rows of a bag: one a contact, or one that says that there is none, or why.
-
-    Parameters
-    ----------
-    bag : str
-        Path.
-    work : Work
-    """
+    """Return the rows of a bag: one a contact, or one that says that there is none, or why."""
     row = _row(bag, work.digest())
     try:
         return _identify(row, work)
@@ -180,12 +159,12 @@ def _row(bag: str, configuration: str) -> Row:
 
 
 def _identify(row: Row, work: Work) -> list[Row]:
-    innovations: defaultdict[int, Innovations] = defaultdict(Innovations)
+    squares: defaultdict[int, list[float]] = defaultdict(list)
     times: list[int] = []
 
     def see(output: Output, frame: str) -> None:
         if isinstance(output, TissueState) and output.innovation is not None:
-            innovations[output.contact_id].add(output.innovation)
+            squares[output.contact_id].append(output.innovation.normalized_squared)
 
     def tick(log_time_ns: int, *_: object) -> None:
         times[1:] = [log_time_ns]
@@ -198,10 +177,8 @@ def _identify(row: Row, work: Work) -> list[Row]:
         "pairs": result.samples,
         "contacts": len(result.summaries),
     }
-    rows = [
-        row | contact_row(summary, innovations[summary.contact_id].mean_square)
-        for summary in result.summaries
-    ]
+    found = {number: float(np.mean(values)) for number, values in squares.items()}
+    rows = [row | contact_row(one, found.get(one.contact_id)) for one in result.summaries]
     return rows or [row]
 
 
@@ -210,17 +187,10 @@ class Results:
 
     Rows go to the CSV as they come. The Parquet file is made of it at the end.
 
-    Parameters
-    ----------
-    path : path
-        Ends with ``.parquet`` for both; the CSV stands next to it.
-    configuration : str
-        That of the run: rows of another one are left out when their bag is done again.
-
     Raises
     ------
     InputError
-        If there is a table that is not of this kind, or nothing can be written there.
+        If there is a table that is not of this kind or `configuration`, or nothing can be written.
     """
 
     def __init__(self, path: str | Path, configuration: str) -> None:
@@ -228,15 +198,17 @@ class Results:
         self._parquet = target if target.suffix.lower() == ".parquet" else None
         self.path = target.with_suffix(".csv") if self._parquet else target
         self.configuration = configuration
-        self._done: set[str] = set()
-        self._others: set[str] = set()
         self._is_open = False
-        for bag, rows in _groups(self.path):
-            is_done = _is_whole(rows) and rows[0]["configuration"] == configuration
-            (self._done if is_done else self._others).add(bag)
+        whole = [rows for _, rows in _groups(self.path) if _is_whole(rows)]
+        if any(rows[0]["configuration"] != configuration for rows in whole):
+            raise InputError(
+                f"{self.path} was made with other parameters, version or tissue library: choose "
+                "another place, or delete it"
+            )
+        self._done = {rows[0]["bag"] for rows in whole}
 
     def has(self, bag: str) -> bool:
-        """Return whether all rows of `bag` are there, of this configuration."""
+        """Return whether all rows of `bag` are there."""
         return bag in self._done
 
     def add(self, rows: Sequence[Row]) -> None:
@@ -249,24 +221,21 @@ class Results:
         self._done.add(rows[0]["bag"])
 
     def close(self) -> None:
-        """Leave out what was done again, and write the Parquet file."""
-        with _written(self._parquet or self.path):
-            if self._is_open and self._done & self._others:
-                self._write_anew()
-            if self._parquet is not None and self.path.exists():
+        """Write the Parquet file."""
+        if self._parquet is not None and self.path.exists():
+            with _written(self._parquet):
                 write_parquet(self.path, self._parquet)
 
     def _write_anew(self) -> None:
-        """Write the table without rows that are cut off, or have others of this configuration."""
+        """Write the table without rows that are cut off."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         draft = self.path.with_name(f".{self.path.name}.part")
         with draft.open("w", encoding="utf-8", newline="") as file:
             writer = _writer(file)
             writer.writeheader()
-            for bag, rows in _groups(self.path):
-                is_ours = rows[0]["configuration"] == self.configuration
-                if _is_whole(rows) and (is_ours or bag not in self._done):
-                    writer.writerows(rows)
+            writer.writerows(
+                row for _, rows in _groups(self.path) if _is_whole(rows) for row in rows
+            )
         draft.replace(self.path)
         self._is_open = True
 
@@ -276,9 +245,8 @@ def _written(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror}): choose another place"
-        ) from None
+        why = f"{path} cannot be written ({error.strerror}): choose another place"
+        raise InputError(why) from None
 
 
 def _writer(file: Any) -> csv.DictWriter[str]:
@@ -303,7 +271,8 @@ def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
 def _is_whole(rows: Sequence[Row]) -> bool:
     """Return whether all rows of a bag are there, and it can be relied on that they are."""
     error, contacts = rows[0]["error"], rows[0]["contacts"]
-    may_pass = error.startswith(KILLED) or NOT_REACHED in error
+    # A worker may not have the folder mounted yet.
+    may_pass = error.startswith(KILLED) or NOT_REACHED in error or "does not exist" in error
     return not may_pass and len(rows) == max(1, int(contacts or 0))
 
 
@@ -315,19 +284,7 @@ def run(
     on_bag: Callable[[list[Row]], object],
     task: Callable[[str, Work], list[Row]] = identify,
 ) -> None:
-    """Identify `bags` in the processes of `pool` and keep each as it comes.
-
-    Parameters
-    ----------
-    bags : iterable of path
-    work : Work
-    results : Results
-    pool : Executor
-        Such as :func:`fden_ros.offline.workers.local` and ``cluster`` give.
-    on_bag : callable
-        Called with the rows of each bag.
-    task : callable
-        What is done with each bag.
+    """Identify `bags` in the processes of `pool`, keep each as it comes, and call `on_bag`.
 
     Raises
     ------
@@ -348,20 +305,17 @@ def run(
 
 
 def _rows_of(future: Future[list[Row]], bag: str, results: Results) -> list[Row]:
+    kept = f"{results.path} has what was done before; run the same command again"
     try:
         rows = future.result()
     except BrokenProcessPool:
-        raise InputError(
-            f"a process was killed: {results.path} has what was done before; run it again, with "
-            "fewer --workers where memory is short"
-        ) from None
+        why = f"a process was killed: {kept}, with fewer --workers where memory is short"
+        raise InputError(why) from None
     except CancelledError:
-        raise InputError(
-            f"the scheduler is gone: {results.path} has what was done before; start it, and run "
-            "the same command again"
-        ) from None
+        raise InputError(f"the scheduler is gone: start it; {kept}") from None
     except Exception as error:
-        if not is_killed(error):
+        # Dask gives a task up when each of its workers was killed.
+        if type(error).__name__ != "KilledWorker":
             raise InputError(f"a worker cannot do it ({error}): {SAME_VERSION}") from None
         why = f"{KILLED} each time it was tried: does it have enough memory?"
         return [_row(bag, results.configuration) | {"error": why}]

@@ -21,21 +21,18 @@ _YES_OR_NO = ("converged", "complete")
 
 
 def write_parquet(table: Path, path: Path) -> None:
-    """Write a table (CSV) as Parquet, a block of rows at a time.
-
-    Parameters
-    ----------
-    table, path : Path
-    """
+    """Write a table (CSV) as Parquet, a block of rows at a time."""
     with needs_extra(".parquet"):
         import pyarrow
         from pyarrow import csv, parquet
     with table.open(encoding="utf-8") as file:
-        names = file.readline().rstrip().split(",")
-    kinds = dict.fromkeys(names, pyarrow.float64())
-    kinds |= dict.fromkeys(_WORDS, pyarrow.string())
-    kinds |= dict.fromkeys(_WHOLE, pyarrow.int64())
-    kinds |= dict.fromkeys(_YES_OR_NO, pyarrow.bool_())
+        kinds = dict.fromkeys(file.readline().rstrip().split(","), pyarrow.float64())
+    for names, kind in (
+        (_WORDS, pyarrow.string()),
+        (_WHOLE, pyarrow.int64()),
+        (_YES_OR_NO, pyarrow.bool_()),
+    ):
+        kinds |= dict.fromkeys(names, kind)
     options = csv.ConvertOptions(column_types=kinds, null_values=[""], strings_can_be_null=True)
     draft = path.with_name(f".{path.name}.part")
     with (

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fden_ros.core.estimation import KEYS, Budget, Estimate
+from fden_ros.advice import INPUTS
+from fden_ros.core.estimation import KEYS
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import NOT_MEASURED, Slopes
+from fden_ros.core.streams import Pair
 from fden_ros.offline import thickness
-from fden_ros.offline.known import knows_stiffness, knows_stiffness_alone
+from fden_ros.offline.known import known_alone, known_stiffness
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.progress import progress as bar
 from fden_ros.recording.bag_files import RawMessage
@@ -30,6 +32,13 @@ _PROGRESS_STEP = 500
 
 #: Keys of the measured slopes, of loading and of unloading.
 MEASURED_KEYS = ("measured_slope", "measured_slope_unloading")
+#: Keys of a contact, and the fields of its summary.
+_FIELDS = {
+    "contact_id": "contact_id", "site": "site_id", "start_ns": "start_ns", "end_ns": "end_ns",
+    "position": "position", "frame": "position_frame", "converged": "converged",
+    "complete": "complete", "max_strain": "max_strain", "max_stress": "max_stress",
+    "max_force": "max_force", "samples": "sample_count",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,31 +56,25 @@ class Replay:
     #: Slopes of force over displacement where no contact was seen, and it was deepest.
     measured_unseen: Slopes = NOT_MEASURED
     never_lifts: bool = False  #: the probe palpates, so that its contacts are strokes
-    is_air_doubted: bool = False  #: the force fell below its value in the air
+    is_air_doubted: bool = False  #: the force fell below its value in the air, by a wrong sign?
 
     @property
     def has_identified(self) -> bool:
         """Whether a contact converged, or N/m or a slope is known, of one or on a path."""
-        if self.has_strokes:
-            return False
-        if any(s.converged or s.is_of_path for s in self.summaries):
-            return True
-        if self.is_air_doubted:
-            return False
-        return self.measured_unseen.loading is not None or any(
-            map(knows_stiffness, self.summaries)
-        )
+        if self.has_strokes or any(s.converged or s.is_of_path for s in self.summaries):
+            return not self.has_strokes
+        is_measured = self.measured_unseen.loading or any(map(known_stiffness, self.summaries))
+        return bool(is_measured) and not self.is_air_doubted
 
     @property
     def with_stiffness_alone(self) -> frozenset[int]:
-        """Numbers of the contacts of which N/m is known, and not G.
+        """Numbers of the contacts of which N/m or the slope is known, and not G.
 
-        None where the force fell below its value in the air: then what is taken for a contact may
-        be the air.
+        None where the force fell below its value in the air, and a sign may be wrong: then what is
+        taken for a contact may be the air.
         """
-        if self.is_air_doubted:
-            return frozenset()
-        return frozenset(s.contact_id for s in self.summaries if knows_stiffness_alone(s))
+        summaries = () if self.is_air_doubted else self.summaries
+        return frozenset(s.contact_id for s in summaries if known_alone(s))
 
     @property
     def has_strokes(self) -> bool:
@@ -79,50 +82,46 @@ class Replay:
         return self.never_lifts and not any(s.converged for s in self.summaries)
 
 
-def replay(
-    bag: str | Path,
-    parameters: Parameters,
-    selection: Selection | None = None,
-    *,
-    progress: bool = False,
-    on_output: Callable[[Output, str], None] | None = None,
-    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
-) -> Replay:
-    """Run a recording through the pipeline.
+class _Watched(Pipeline):
+    """A pipeline that shows each pair of samples before it takes it."""
 
-    Parameters
-    ----------
-    bag : path
-        A bag, as :class:`~fden_ros.recording.reader.BagReader` reads, or a table.
-    parameters : Parameters
-        Of :func:`fden_ros.parameters.check`.
-    selection : Selection, optional
-        Topics, fields or columns; without it the only sensible topics of the bag.
-    progress : bool
-        Show a progress bar on standard error.
-    on_output : callable, optional
-        Called with every output and the frame of the force.
-    on_input : callable, optional
-        Called before each message or row with its time of recording (ns), the message or None,
-        and the pipeline.
+    show: Callable[[Pair], None]
+
+    def _on_pair(self, pair: Pair) -> None:
+        self.show(pair)
+        super()._on_pair(pair)
+
+
+def replay(
+    bag: str | Path, parameters: Parameters, selection: Selection | None = None, **options: Any
+) -> Replay:
+    """Run a recording, a bag or a table, through the pipeline.
+
+    `selection` names topics, fields or columns; without it the only sensible ones are taken.
+    `options` are those of :func:`replay_source`.
 
     Raises
     ------
     InputError
         If the recording or its topics cannot be used.
     """
-    source = open_source(bag, parameters, selection)
-    return replay_source(source, progress=progress, on_output=on_output, on_input=on_input)
+    return replay_source(open_source(bag, parameters, selection), **options)
 
 
 def replay_source(
     source: Source,
     *,
     progress: bool = False,
-    on_output: Callable[[Output, str], None] | None = None,
-    on_input: Callable[[int, RawMessage | None, Pipeline], None] | None = None,
+    on_output: Callable[[Output, str], None] = lambda output, frame: None,
+    on_input: Callable[[int, RawMessage | None, Pipeline], None] = lambda *_: None,
+    on_pair: Callable[[Pair], None] = lambda pair: None,
 ) -> Replay:
-    """Run what is read through the pipeline, as :func:`replay` does."""
+    """Run what is read through the pipeline, and show its `progress` on standard error.
+
+    `on_output` is called with every output and the frame of the force, `on_input` before each
+    message or row with its time of recording (ns), the message or None, and the pipeline, and
+    `on_pair` with every pair of force and displacement.
+    """
     summaries: list[ContactSummary] = []
 
     def keep(output: Output) -> None:
@@ -132,16 +131,12 @@ def replay_source(
                 # The air after it has contradicted it.
                 summaries.pop()
             summaries.append(output)
-        if on_output is not None:
-            on_output(output, source.frame)
+        on_output(output, source.frame)
 
-    def before(log_time_ns: int, message: RawMessage | None) -> None:
-        if on_input is not None:
-            on_input(log_time_ns, message, pipeline)
-
-    pipeline = Pipeline(pipeline_config(source.parameters), keep)
+    pipeline = _Watched(pipeline_config(source.parameters), keep)
+    pipeline.show = on_pair
     with bar("replaying", source.total, visible=progress) as show:
-        for done in source.feed(pipeline, before):
+        for done in source.feed(pipeline, lambda at, one: on_input(at, one, pipeline)):
             if done % _PROGRESS_STEP == 0:
                 show(done)
     pipeline.finish()
@@ -150,11 +145,7 @@ def replay_source(
     return Replay(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
-        warnings=(
-            *source.warnings,
-            *_warnings(pipeline, summaries),
-            *_assumed(pipeline, summaries),
-        ),
+        warnings=(*source.warnings, *_warnings(pipeline, summaries)),
         summaries=tuple(summaries),
         inputs=source.inputs,
         parameters=source.parameters,
@@ -169,33 +160,20 @@ def replay_source(
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     odd = pipeline.warnings
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in odd.items()]
-    is_explained = len(odd) > len(pipeline.problems)
     warnings += map(str, pipeline.failures)
     if pipeline.unusual_rejections:
         rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
-    if is_explained:
-        return warnings
-    if not pipeline.pair_count:
-        warnings.append(
-            "no pair of force and displacement: do the stamps of the two topics overlap?"
-        )
-    elif not summaries:
-        warnings.append(
-            "no contact was found: check force.axis and displacement.axis (both grow as the probe "
-            "presses) and force.threshold"
-        )
-    return warnings
-
-
-def _assumed(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
-    """Return what is assumed of the thickness, where G rests on it."""
-    geometry = pipeline.config.geometry
+    if len(odd) == len(pipeline.problems) and not summaries:
+        code = "no contact" if pipeline.pair_count else "no pair"
+        warnings.append(str(INPUTS[code]))
+    # What is assumed of the thickness, where G rests on it.
     strains = [summary.max_strain for summary in summaries if summary.estimate is not None]
-    if not strains:
-        return []
-    words = thickness.assumed(geometry, geometry.length * geometry.compression(max(strains)))
-    return [words] if words else []
+    if strains:
+        geometry = pipeline.config.geometry
+        depth = geometry.length * geometry.compression(max(strains))
+        warnings += filter(None, [thickness.assumed(geometry, depth)])
+    return warnings
 
 
 def result_object(result: Replay) -> dict[str, Any]:
@@ -213,46 +191,44 @@ def result_object(result: Replay) -> dict[str, Any]:
 
 def contact_object(summary: ContactSummary) -> dict[str, Any]:
     """Return one contact as a JSON-ready object; what was not estimated is null."""
-    estimate, stiffness = summary.estimate, summary.apparent_stiffness
-    numbers = estimate.numbers if estimate is not None else {}
-    decided, compared, classes = summary.decided, summary.comparison, summary.classes
-    low, high = compared.interval() if compared is not None else (None, None)
+    estimate, budget, classes = summary.estimate, summary.budget, summary.classes
+    low, high = summary.comparison.interval() if summary.comparison else (None, None)
+    sets = ("observable", "converged", "prior_limit")
+    known = (estimate.observable, estimate.known, estimate.at_edge) if estimate else ()
+    numbers = estimate.numbers if estimate else {}
     return {
-        "contact_id": summary.contact_id,
-        "site": summary.site_id,
-        "start_ns": summary.start_ns,
-        "end_ns": summary.end_ns,
-        "position": summary.position,
-        "frame": summary.position_frame,
+        **{name: getattr(summary, field) for name, field in _FIELDS.items()},
         **{key: numbers.get(name) for key, name in KEYS.items()},
-        "apparent_stiffness": stiffness.value if stiffness is not None else None,
-        "apparent_stiffness_sd": stiffness.sd if stiffness is not None else None,
-        "apparent_stiffness_time_scale": stiffness.time_scale if stiffness is not None else None,
+        "apparent_stiffness": getattr(summary.apparent_stiffness, "value", None),
+        "apparent_stiffness_sd": getattr(summary.apparent_stiffness, "sd", None),
+        "apparent_stiffness_time_scale": getattr(summary.apparent_stiffness, "time_scale", None),
         **measured_object(summary.measured),
         "alpha_source": summary.order_source.name.lower(),
-        "converged": summary.converged,
-        "observable_parameters": list(estimate.observable.names) if estimate is not None else [],
-        "converged_parameters": list(estimate.known.names) if estimate is not None else [],
-        "prior_limit_parameters": list(estimate.at_edge.names) if estimate is not None else [],
-        "covariance": estimate.covariance.tolist() if estimate is not None else None,
-        "components": _components_object(estimate),
-        "complete": summary.complete,
+        **{f"{name}_parameters": [] for name in sets},
+        **{f"{name}_parameters": list(one.names) for name, one in zip(sets, known, strict=False)},
+        "covariance": estimate.covariance.tolist() if estimate else None,
+        # The modes of (ln G, ln Gn, alpha), whose moments are mean and covariance.
+        "components": [
+            {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
+            for m in (estimate.mixture if estimate else ())
+        ],
         "flags": [f.name.lower() for f in Flag if f and f.name and summary.flags & f],
-        "max_strain": summary.max_strain,
-        "max_stress": summary.max_stress,
-        "max_force": summary.max_force,
-        "samples": summary.sample_count,
-        "label": classes.label if classes is not None else "",
+        "label": classes.label if classes else "",
         "probabilities": (
             dict(zip(classes.names, classes.probabilities, strict=True)) if classes else {}
         ),
-        "p_value": classes.p_value if classes is not None else None,
-        "decision_time": decided.time if decided is not None else None,
-        "decision_strain": decided.strain if decided is not None else None,
-        "ratio": compared.ratio if compared is not None else None,
+        "p_value": getattr(classes, "p_value", None),
+        "decision_time": getattr(summary.decided, "time", None),
+        "decision_strain": getattr(summary.decided, "strain", None),
+        "ratio": getattr(summary.comparison, "ratio", None),
         "ratio_low": low,
         "ratio_high": high,
-        "uncertainty_budget": _budget_object(summary.budget),
+        # Which part of the variances of ln G and ln Gn comes from each source.
+        "uncertainty_budget": budget
+        and {
+            name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)}
+            for name in budget.parts
+        },
     }
 
 
@@ -265,21 +241,3 @@ def measured_object(measured: Slopes) -> dict[str, float | None]:
         for part, value in zip(("", "_sd", "_depth"), (*parts[:2], depth), strict=True):
             found[f"{name}{part}"] = value
     return found
-
-
-def _components_object(estimate: Estimate | None) -> list[dict[str, Any]]:
-    """Return the modes of (ln G, ln Gn, alpha), whose moments are mean and covariance."""
-    members = estimate.mixture if estimate is not None else ()
-    return [
-        {"weight": m.weight, "mean": m.mean.tolist(), "covariance": m.covariance.tolist()}
-        for m in members
-    ]
-
-
-def _budget_object(budget: Budget | None) -> dict[str, dict[str, float]] | None:
-    """Return which part of the variances of ln G and ln Gn comes from each source."""
-    if budget is None:
-        return None
-    return {
-        name: {"g": budget.share(name, 0), "g_n": budget.share(name, 1)} for name in budget.parts
-    }

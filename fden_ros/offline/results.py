@@ -42,16 +42,7 @@ def replay_to_bag(
     A message's header stamp is that of the newest sample behind it, its time of recording that of
     the input message that brought it about: played or shown together, both bags are in step.
     Diagnostics come once a second of recording. The bag appears when it is complete, or not at
-    all.
-
-    Parameters
-    ----------
-    bag, parameters, selection, progress
-        As for :func:`fden_ros.offline.replay.replay`.
-    folder : path
-        The bag to make.
-    overwrite : bool
-        Replace a bag that is there.
+    all; `overwrite` replaces one that is there.
 
     Raises
     ------
@@ -62,14 +53,8 @@ def replay_to_bag(
         raise InputError(f"{folder} is the recording itself: choose another place for the results")
     with BagWriter(folder, overwrite=overwrite) as writer:
         recorder = _Recorder(writer)
-        return replay(
-            bag,
-            parameters,
-            selection,
-            progress=progress,
-            on_output=recorder.take,
-            on_input=recorder.tick,
-        )
+        watched = {"on_output": recorder.take, "on_input": recorder.tick}
+        return replay(bag, parameters, selection, progress=progress, **watched)
 
 
 class _Recorder:
@@ -78,7 +63,7 @@ class _Recorder:
     def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
         self._now_ns = 0
-        self._next_diagnostics_ns: int | None = None
+        self._next_diagnostics_ns = 0
         self._messages = OutputMessages()
         self._problems: PipelineProblems | None = None
         for topic in OUTPUT_TOPICS:
@@ -93,15 +78,13 @@ class _Recorder:
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:
         """Take note of the time of the next input, and write diagnostics when they are due."""
-        if self._next_diagnostics_ns is None:
-            self._next_diagnostics_ns = log_time_ns + _DIAGNOSTICS_PERIOD_NS
-        while self._next_diagnostics_ns <= log_time_ns:
+        due_ns = self._next_diagnostics_ns or log_time_ns + _DIAGNOSTICS_PERIOD_NS
+        while due_ns <= log_time_ns:
             # After a pause one message says that nothing came; the rest would say it again.
-            late = log_time_ns - self._next_diagnostics_ns >= 2 * _DIAGNOSTICS_PERIOD_NS
-            self._diagnose(self._next_diagnostics_ns, pipeline)
-            if late:
-                self._next_diagnostics_ns = log_time_ns
-            self._next_diagnostics_ns += _DIAGNOSTICS_PERIOD_NS
+            is_late = log_time_ns - due_ns >= 2 * _DIAGNOSTICS_PERIOD_NS
+            self._diagnose(due_ns, pipeline)
+            due_ns = (log_time_ns if is_late else due_ns) + _DIAGNOSTICS_PERIOD_NS
+        self._next_diagnostics_ns = due_ns
         self._now_ns = log_time_ns
 
     def _diagnose(self, now_ns: int, pipeline: Pipeline) -> None:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from fden_ros.core.estimation import KEYS
@@ -43,19 +42,17 @@ CORRELATIONS = {
 def contact_row(summary: ContactSummary, mean_nis: float | None) -> dict[str, Any]:
     """Return a contact as a flat row with `COLUMNS`; None where there is nothing."""
     row = contact_object(summary)
-    probabilities: Mapping[str, float] = row.pop("probabilities")
-    for name in LISTS:
-        row[name] = " ".join(row[name])
-    row["x"], row["y"], row["z"] = row.pop("position") or (None, None, None)
+    row |= {name: " ".join(row[name]) for name in LISTS}
+    row["x"], row["y"], row["z"] = row["position"] or (None, None, None)
     row["rejected"] = summary.rejected_count
-    row["probability"] = max(probabilities.values(), default=None)
+    row["probability"] = max(row["probabilities"].values(), default=None)
     row["mean_nis"] = mean_nis
-    row |= dict.fromkeys(("boundary_strain", "exponential_scale", *CORRELATIONS))
-    if summary.estimate is not None:
-        row["boundary_strain"] = summary.estimate.boundary_strain
-        row["exponential_scale"] = summary.estimate.exponential_scale
-        covariance = summary.estimate.covariance
-        for name, (i, j) in CORRELATIONS.items():
-            scale = math.sqrt(covariance[i, i] * covariance[j, j])
-            row[name] = float(covariance[i, j]) / scale if scale > 0.0 else 0.0
+    estimate = summary.estimate
+    for name in ("boundary_strain", "exponential_scale"):
+        row[name] = getattr(estimate, name, None)
+    for name, (i, j) in CORRELATIONS.items():
+        row[name] = None
+        if estimate is not None:
+            scale = math.sqrt(estimate.covariance[i, i] * estimate.covariance[j, j])
+            row[name] = float(estimate.covariance[i, j]) / scale if scale > 0.0 else 0.0
     return {name: row[name] for name in COLUMNS}

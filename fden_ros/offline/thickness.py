@@ -28,20 +28,18 @@ def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
 
     Of a layer that is stated, and no wider pressed than it is thick, nothing is assumed.
     """
-    if not geometry.is_stated:
-        return ""
-    if isinstance(geometry, Sphere) and math.isinf(geometry.thickness):
+    if geometry.is_stated and isinstance(geometry, Sphere) and math.isinf(geometry.thickness):
         return _of_sphere(geometry, deepest)
     if not isinstance(geometry, FlatPunch) or geometry.poisson_ratio is not None:
         return ""
     is_wide = 2.0 * geometry.probe_radius > geometry.thickness
-    return _of_face(geometry) if is_wide and geometry.area < UNKNOWN_AREA else ""
+    is_known = geometry.is_stated and geometry.area < UNKNOWN_AREA
+    return _of_face(geometry) if is_wide and is_known else ""
 
 
 def _of_sphere(sphere: Sphere, deepest: float) -> str:
-    layer = replace(sphere, thickness=sphere.radius)
+    layer, shown = replace(sphere, thickness=sphere.radius), 2.0 * sphere.radius
     ratio = float(brentq(lambda u: _raised(layer, u * layer.thickness) - _GOOD, 1e-9, 1.0))
-    shown = 2.0 * sphere.radius
     words = (
         "geometry.thickness is not stated, so the tissue counts as thick. On a rigid base this "
         f"is right to {100.0 * (_GOOD - 1.0):.0f} % up to an indentation of {ratio:.2g} h^2/R, "
@@ -50,11 +48,9 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
     )
     if deepest <= 0.0:
         return words
-    least = math.sqrt(sphere.radius * deepest / ratio)
-    return (
-        f"{words}; the {quantity(deepest, 'm')} reached take {quantity(least, 'm')}, and at "
-        + _around(shown, lambda h: _raised(replace(sphere, thickness=h), deepest))
-    )
+    least = quantity(math.sqrt(sphere.radius * deepest / ratio), "m")
+    words += f"; the {quantity(deepest, 'm')} reached take {least}, and at "
+    return words + _around(shown, lambda h: _raised(replace(sphere, thickness=h), deepest))
 
 
 def _of_face(punch: FlatPunch) -> str:
@@ -65,8 +61,7 @@ def _of_face(punch: FlatPunch) -> str:
     return (
         "the face is wider than the tissue is thick and geometry.hayes is false, so G is that of "
         "a column with free sides. Of a layer that continues around the face, at "
-        + _around(punch.thickness, raised)
-        + "; then set geometry.hayes"
+        f"{_around(punch.thickness, raised)}; then set geometry.hayes"
     )
 
 
@@ -78,8 +73,6 @@ def _raised(layer: Sphere, depth: float) -> float:
 
 def _around(thickness: float, factor: Callable[[float], float]) -> str:
     change = min(_CHANGE, _PART * thickness)
-    times = [factor(thickness + more) for more in (0.0, change, -change)]
-    return (
-        f"{quantity(thickness, 'm')} G comes out {times[0]:.2g} times too large "
-        f"({times[1]:.2g} with {quantity(change, 'm')} more, {times[2]:.2g} with as much less)"
-    )
+    here, more, less = (f"{factor(thickness + by):.2g}" for by in (0.0, change, -change))
+    times = f"{here} times too large ({more} with {quantity(change, 'm')} more"
+    return f"{quantity(thickness, 'm')} G comes out {times}, {less} with as much less)"

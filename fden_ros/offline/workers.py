@@ -14,7 +14,6 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any
 
 from fden_ros import __version__
 from fden_ros.errors import InputError
@@ -47,22 +46,15 @@ def _ignore_interrupts() -> None:
 
 
 @contextmanager
-def cluster(scheduler: str, sample: str, say: Callable[[str], object]) -> Iterator[Executor]:
-    """Give the workers of a scheduler of Dask.
+def cluster(scheduler: str, say: Callable[[str], object]) -> Iterator[Executor]:
+    """Give the workers of a scheduler of Dask, by its address or the file that it has written.
 
-    Parameters
-    ----------
-    scheduler : str
-        Its address, such as ``tcp://host:8786``, or the file that it has written.
-    sample : str
-        A recording; where it is a file, every worker must see it.
-    say : callable
-        Called with a line where there is no worker yet.
+    `say` is called with a line where there is no worker yet.
 
     Raises
     ------
     InputError
-        If it cannot be reached, or a worker has another version or does not see the recording.
+        If it cannot be reached.
     """
     with needs_extra("--scheduler"):
         from distributed import Client
@@ -76,44 +68,10 @@ def cluster(scheduler: str, sample: str, say: Callable[[str], object]) -> Iterat
             f"the scheduler {scheduler} cannot be reached ({error}): start it with dask scheduler"
         ) from None
     with client:
-        answers = client.run(_probe(sample), on_error="return")
-        for name, found in answers.items():
-            _check(name, found, sample)
-        if not answers:
+        if not client.scheduler_info()["workers"]:
             say(f"{scheduler} has no worker yet: waiting for one")
         pool = client.get_executor()
         try:
             yield pool
         finally:
             pool.shutdown(wait=False)
-
-
-def _probe(sample: str) -> Callable[[], tuple[str, bool]]:
-    """Return by what a worker states its version, and whether it sees a file.
-
-    A function of a function is sent as it is: another version need not have it.
-    """
-
-    def probe() -> tuple[str, bool]:
-        import importlib
-        import os
-
-        version = importlib.import_module("fden_ros").__version__
-        return version, "://" in sample or os.path.exists(sample)
-
-    return probe
-
-
-def _check(name: str, found: Any, sample: str) -> None:
-    if isinstance(found, Exception):
-        raise InputError(f"worker {name} lacks fden_ros ({found}): {SAME_VERSION}")
-    version, is_seen = found
-    if version != __version__:
-        raise InputError(f"worker {name} has fden_ros {version}: {SAME_VERSION}")
-    if not is_seen:
-        raise InputError(f"worker {name} does not see {sample}: mount it there at the same path")
-
-
-def is_killed(error: Exception) -> bool:
-    """Return whether Dask has given a task up because each of its workers was killed."""
-    return type(error).__name__ == "KilledWorker"

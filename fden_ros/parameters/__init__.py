@@ -4,9 +4,8 @@
 """The parameters of the identifier: declared, checked, read from files, handed to the core.
 
 The fields of the core's configuration, and of :mod:`~fden_ros.parameters.table` what is of
-messages and frames, drive the node's declarations, the checks and the parameter files.
-:func:`check` turns names and values into a frozen :class:`Parameters`; :func:`pipeline_config`
-completes the core's configuration in it.
+messages and frames, drive the node's declarations, the checks and the parameter files. A name or a
+value that is not allowed raises :class:`~fden_ros.errors.InputError`, in one line.
 
 >>> check({"geometry.area": 2e-4}).geometry.area
 0.0002
@@ -26,7 +25,6 @@ from fden_ros.parameters.files import (
     read_sections,
     values_for,
 )
-from fden_ros.parameters.message_kinds import FORCES, PLACES, MessageKind, kind_of
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     frames_config,
@@ -46,13 +44,10 @@ from fden_ros.parameters.table import (
 
 __all__ = [
     "ATTENTION_LINE",
-    "FORCES",
     "LIVE_LINE",
     "NODE_PARAMETERS",
     "OPEN_AXIS",
     "PARAMETERS",
-    "PLACES",
-    "MessageKind",
     "Parameter",
     "Parameters",
     "Section",
@@ -61,7 +56,6 @@ __all__ = [
     "check_types",
     "frames_config",
     "identifier_values",
-    "kind_of",
     "live_topics",
     "moves_probe",
     "open_axes",

@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.parameters.table import Parameters, check, identifier_values
+from fden_ros.parameters.table import Parameters, identifier_values
 
 #: Line of a parameter file that names a live node's topics, as remappings.
 LIVE_LINE = "# Live: "
@@ -35,11 +35,10 @@ _KEY = "ros__parameters"
 
 def live_topics(path: str | Path) -> dict[str, str]:
     """Return the topics that `fden configure` has written for ``force`` and ``displacement``."""
-    words: list[str] = []
     try:
-        for line in Path(path).read_text(encoding="utf-8").splitlines():
-            if line.startswith(LIVE_LINE):
-                words += shlex.split(line.removeprefix(LIVE_LINE))
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        own = [line.removeprefix(LIVE_LINE) for line in lines if line.startswith(LIVE_LINE)]
+        words = shlex.split(" ".join(own))
     except (OSError, ValueError):
         # Whoever reads its parameters says what is wrong with it.
         return {}
@@ -67,16 +66,10 @@ class Section:
 
 def open_axes(path: str | Path) -> list[str]:
     """Return what a parameter file says of axes and signs that are not known, a line each."""
-    found: list[str] = []
-    is_inside = False
-    for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
-        if is_inside and line.startswith("#   "):
-            found[-1] += line[3:]
-            continue
-        is_inside = line.startswith(ATTENTION_LINE + OPEN_AXIS)
-        if is_inside:
-            found.append(line.removeprefix(ATTENTION_LINE))
-    return found
+    text = Path(path).read_text(encoding="utf-8", errors="replace").replace("\n#   ", " ")
+    begin = ATTENTION_LINE + OPEN_AXIS
+    lines = [line for line in text.splitlines() if line.startswith(begin)]
+    return [line.removeprefix(ATTENTION_LINE) for line in lines]
 
 
 def read_parameter_file(path: str | Path, node: str = NODE) -> Parameters:
@@ -85,43 +78,23 @@ def read_parameter_file(path: str | Path, node: str = NODE) -> Parameters:
 
 
 def read_parameter_files(paths: Iterable[str | Path], node: str = NODE) -> Parameters:
-    """Read the parameters of one node from ROS 2 parameter files.
+    """Read the parameters of one node, such as ``/arm/identifier``, from ROS 2 parameter files.
 
     Of the sections that are for the node, by name or wildcard, the later outdoes the earlier, and
     the later file the earlier.
-
-    Parameters
-    ----------
-    paths : iterable of path
-    node : str
-        Its name, with its namespace: ``/arm/identifier``.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, has no section for the node, or holds in it an unknown name or a
-        value that is not allowed.
     """
-    values: dict[str, object] = {}
     parameters = Parameters()
     for path in paths:
         sections = read_sections(path)
         try:
-            values |= identifier_values(values_for(sections, node))
-            parameters = check(values)
+            parameters = parameters.changed(identifier_values(values_for(sections, node)))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     return parameters
 
 
 def values_for(sections: list[Section], node: str) -> dict[str, object]:
-    """Return the values of the sections that are for `node`.
-
-    Raises
-    ------
-    InputError
-        If none is.
-    """
+    """Return the values of the sections that are for `node`."""
     chosen = [section.values for section in sections if section.is_for(node)]
     if not chosen:
         named = ", ".join(dict.fromkeys(_qualified(section.node) for section in sections))
@@ -133,28 +106,16 @@ def values_for(sections: list[Section], node: str) -> dict[str, object]:
 
 
 def read_sections(path: str | Path) -> list[Section]:
-    """Return every section of a parameter file, in its order.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is no parameter file.
-    """
+    """Return every section of a parameter file, in its order."""
     try:
-        content = parse_yaml(Path(path).read_text(encoding="utf-8"))
-        if not isinstance(content, Mapping):
-            raise InputError(_NO_KEY)
-        return list(_sections(content, ""))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not a text file"
-        raise InputError(f"{path}: cannot read the parameter file: {reason}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not valid YAML: {reason}") from error
-    except RecursionError as error:
-        raise InputError(f"{path}: not valid YAML: nested too deep") from error
+        return list(_sections(parse_yaml(Path(path).read_text(encoding="utf-8")), ""))
+    except OSError as error:
+        reason = f"cannot read the parameter file: {error.strerror}"
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        reason = str(error)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = f"not valid YAML: {' '.join(str(error).split())}"
+    raise InputError(f"{path}: {reason}")
 
 
 _NO_KEY = (
@@ -163,13 +124,11 @@ _NO_KEY = (
 )
 
 
-def _sections(tree: Mapping[object, object], node: str) -> Iterator[Section]:
-    if not tree:
+def _sections(tree: object, node: str) -> Iterator[Section]:
+    if not isinstance(tree, Mapping) or not tree:
         raise InputError(_NO_KEY)
     for key, below in tree.items():
-        if not isinstance(below, Mapping):
-            raise InputError(_NO_KEY)
-        if key == _KEY:
+        if key == _KEY and isinstance(below, Mapping):
             yield Section(node, dict(_leaves(below, "")))
         else:
             yield from _sections(below, f"{node}/{str(key).strip('/')}")
@@ -188,13 +147,7 @@ def _leaves(tree: Mapping[object, object], prefix: str) -> Iterator[tuple[str, o
 
 
 def check_types(name: str, value: object) -> None:
-    """Refuse a list that ROS 2 does not read: of values of several types.
-
-    Raises
-    ------
-    InputError
-        In one line that says how to write it.
-    """
+    """Refuse a list that ROS 2 does not read: of values of several types."""
     if isinstance(value, list) and len({type(v) for v in value}) > 1:
         hint = ""
         if all(type(v) in (int, float) for v in value):
@@ -206,13 +159,7 @@ def check_types(name: str, value: object) -> None:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a text as a parameter file has it.
-
-    Raises
-    ------
-    yaml.YAMLError, ValueError
-        If it is not valid.
-    """
+    """Return the value of a text as a parameter file has it; yaml's errors are let through."""
     return yaml.load(text, _Loader)  # noqa: S506, it is a SafeLoader
 
 

@@ -61,57 +61,40 @@ class Parameter:
         return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
 
     def check(self, value: object) -> Value:
-        """Return `value` in the parameter's type.
-
-        Raises
-        ------
-        InputError
-            If it is of another type or not allowed.
-        """
+        """Return `value` in the parameter's type."""
         default = self.default
-        if isinstance(default, bool) or isinstance(value, bool):
-            if isinstance(default, bool) and isinstance(value, bool):
-                return value
-        elif isinstance(default, str):
-            if isinstance(value, str):
-                return self._choice(value)
-        elif isinstance(default, list):
-            if isinstance(value, Sequence) and not isinstance(value, str):
-                if self.most and 1 <= len(value) <= self.most:
-                    return [float(self._number(v)) for v in value]
-                if not self.most and len(value) == 3:
-                    return self._vector(value)
-        elif isinstance(value, (int, float)) and (
-            isinstance(default, float) or isinstance(value, int)
-        ):
-            return self._number(value)
-        raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
+        if isinstance(default, list):
+            return self._list(value)
+        is_own = isinstance(value, type(default)) or (
+            isinstance(default, float) and isinstance(value, int)
+        )
+        if not is_own or isinstance(value, bool) != isinstance(default, bool):
+            raise self._refused(value, self.type_name)
+        if isinstance(value, str) and self.choices and value not in self.choices:
+            raise self._refused(value, self.constraint)
+        return value if isinstance(value, (bool, str)) else self._number(value)
 
-    def _choice(self, value: str) -> str:
-        if self.choices and value not in self.choices:
-            raise InputError(f"parameter {self.name} is {value!r}, must be {self.constraint}")
-        return value
-
-    def _vector(self, value: Sequence[object]) -> list[float]:
-        if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in value):
-            raise InputError(
-                f"parameter {self.name} is {list(value)!r}, must be {self.constraint}"
-            )
-        vector = [float(v) for v in value]  # type: ignore[arg-type]
-        if not any(vector) and not self.may_be_zero:
-            raise InputError(f"parameter {self.name} is {vector!r}, must be {self.constraint}")
-        return vector
+    def _list(self, value: object) -> list[float]:
+        is_list = isinstance(value, Sequence) and not isinstance(value, str)
+        numbers: list[Any] = list(value) if is_list else []  # type: ignore[call-overload]
+        is_full = 1 <= len(numbers) <= self.most if self.most else len(numbers) == 3
+        if not is_full or any(type(v) not in (int, float) for v in numbers):
+            raise self._refused(value, self.type_name)
+        if self.most:
+            return [float(self._number(v)) for v in numbers]
+        is_zero = not any(numbers) and not self.may_be_zero
+        if is_zero or not all(map(math.isfinite, numbers)):
+            raise self._refused(value, self.constraint)
+        return [float(v) for v in numbers]
 
     def _number(self, value: Any) -> int | float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f"parameter {self.name} is {value!r}, must be {self.type_name}")
         is_unset = self.may_be_zero and value == 0
         if not math.isfinite(value) or not (self.minimum <= value <= self.maximum or is_unset):
-            raise InputError(
-                f"parameter {self.name} is {value!r}, must be {self.constraint}"
-                + self._other_unit(value)
-            )
+            raise self._refused(value, self.constraint + self._other_unit(value))
         return value if isinstance(self.default, int) else float(value)
+
+    def _refused(self, value: object, expected: str) -> InputError:
+        return InputError(f"parameter {self.name} is {value!r}, must be {expected}")
 
     def _other_unit(self, value: float) -> str:
         """Return what a value beyond the range would be if it was meant in a usual unit."""

@@ -27,14 +27,7 @@ def unit_vector(values: Sequence[float]) -> Vector:
 
 
 def pipeline_config(parameters: Parameters) -> PipelineConfig:
-    """Return the core's configuration for checked parameters.
-
-    Raises
-    ------
-    InputError
-        If the tissue library cannot be read, or is in other units than the estimates, a friction
-        is given without a deviation, or several frequencies of a palpation.
-    """
+    """Return the core's configuration for checked parameters."""
     core, geometry = parameters.core, parameters.geometry.build()
     if core.is_continuous and len(core.dither_frequencies) > 1:
         raise InputError(
@@ -46,6 +39,14 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             f"force.friction is {core.estimator.friction} and force.friction_sd is 0: a friction "
             "counts only with a standard deviation, 0.001 say"
         )
+    axis, stated = (
+        unit_vector(parameters.displacement.axis),
+        parameters.displacement.surface_normal,
+    )
+    normal = unit_vector(stated) if any(stated) else None
+    is_along = parameters.displacement.along_tool
+    # Along it two touches may differ and be of one site; without a normal there is no such line.
+    approach = (normal or (0.0, 0.0, 0.0)) if is_along else axis
     return replace(
         core,
         library=library_for(parameters.library, geometry),
@@ -53,9 +54,9 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
         synchronize=replace(
             core.synchronize,
             frames=frames_config(parameters),
-            tool_path=_tool_path(parameters),
+            tool_path=ToolPathConfig(axis, normal) if is_along else None,
         ),
-        contact=replace(core.contact, approach_axis=_approach_axis(parameters)),
+        contact=replace(core.contact, approach_axis=approach),
         estimator=replace(core.estimator, uncertainty=uncertainty_of(parameters)),
     )
 
@@ -68,13 +69,7 @@ def uncertainty_of(parameters: Parameters) -> Uncertainty:
 
 
 def frames_config(parameters: Parameters) -> FramesConfig | None:
-    """Return which frames count; None where no transform is used.
-
-    Raises
-    ------
-    InputError
-        If a frame is missing.
-    """
+    """Return which frames count; None where no transform is used."""
     base, probe = parameters.frames.base, parameters.frames.probe
     by_transform = moves_probe(parameters)
     if by_transform and not (base and probe):
@@ -92,23 +87,6 @@ def frames_config(parameters: Parameters) -> FramesConfig | None:
         by_transform,
         tool_weight(parameters),
     )
-
-
-def _tool_path(parameters: Parameters) -> ToolPathConfig | None:
-    if not parameters.displacement.along_tool:
-        return None
-    normal = parameters.surface.normal
-    return ToolPathConfig(
-        unit_vector(parameters.displacement.axis), unit_vector(normal) if any(normal) else None
-    )
-
-
-def _approach_axis(parameters: Parameters) -> Vector:
-    """Return the direction along which two touches may differ and be of one site; zeros: none."""
-    if not parameters.displacement.along_tool:
-        return unit_vector(parameters.displacement.axis)
-    normal = parameters.surface.normal
-    return unit_vector(normal) if any(normal) else (0.0, 0.0, 0.0)
 
 
 def moves_probe(parameters: Parameters) -> bool:

@@ -21,7 +21,7 @@ from fden_ros.core.law import GeometryConfig, Sphere, TorsionalRheometer
 from fden_ros.core.parameter import parameter
 from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
-from fden_ros.parameters.message_kinds import FORCES, PLACES
+from fden_ros.message_kinds import FORCES, PLACES
 from fden_ros.parameters.parameter import Parameter, Value, Vector
 
 _Settings = TypeVar("_Settings")
@@ -79,13 +79,7 @@ class DisplacementInput:
         False,
         "true where a joint's position falls as the probe goes into the tissue.",
     )
-
-
-@dataclass(frozen=True)
-class SurfaceDirection:
-    """How the tissue's surface lies."""
-
-    normal: Vector = parameter(
+    surface_normal: Vector = parameter(
         "surface.normal",
         (0.0, 0.0, 0.0),
         "Direction into the tissue, perpendicular to its surface, in the frame of the poses or "
@@ -145,7 +139,6 @@ class Parameters:
 
     force: ForceInput = ForceInput()
     displacement: DisplacementInput = DisplacementInput()
-    surface: SurfaceDirection = SurfaceDirection()
     frames: FrameNames = FrameNames()
     tool: ToolWeight = field(default_factory=ToolWeight)
     stamp_source: str = parameter(
@@ -167,18 +160,19 @@ class Parameters:
         return {leaf.metadata["name"]: _plain(value) for leaf, value in _leaves(self)}
 
     def changed(self, values: Mapping[str, object]) -> Parameters:
-        """Return these parameters with others in place of some.
-
-        Raises
-        ------
-        InputError
-            As :func:`check`.
-        """
-        return _changed(self, {name: parameter_named(name).check(v) for name, v in values.items()})
+        """Return these parameters with others in place of some."""
+        own = {name: parameter_named(name).check(value) for name, value in values.items()}
+        found = _changed(self, own)
+        kind = found.geometry.kind
+        if kind in (Sphere.kind, TorsionalRheometer.kind) and not found.geometry.radius:
+            raise InputError(
+                f"geometry.kind is {kind} and geometry.radius is 0: state the radius [m]"
+            )
+        return found
 
 
 def _leaves(settings: Any) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
-    """Yield every field that is a parameter, in the order of the fields, and its value."""
+    """Yield every field that is a parameter, and its value."""
     for leaf in dataclasses.fields(settings):
         value = getattr(settings, leaf.name)
         if leaf.metadata:
@@ -205,51 +199,31 @@ def _plain(value: Any) -> Value:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _by_group(parameters: list[Parameter]) -> tuple[Parameter, ...]:
-    """Return parameters with each group together, where its first one stands."""
-    groups = list(dict.fromkeys(one.group for one in parameters))
-    return tuple(sorted(parameters, key=lambda one: groups.index(one.group)))
+def _described(settings: Any) -> tuple[Parameter, ...]:
+    """Return the parameters with each group together, where its first one stands."""
+    found = [
+        Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)
+    ]
+    groups = list(dict.fromkeys(one.group for one in found))
+    return tuple(sorted(found, key=lambda one: groups.index(one.group)))
 
 
-def _described(settings: Any) -> list[Parameter]:
-    return [Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)]
-
-
-PARAMETERS = _by_group(_described(Parameters()))
+PARAMETERS = _described(Parameters())
 #: Of the node alone: not the identification's, in the same file.
-NODE_PARAMETERS = tuple(_described(NodeSettings()))
+NODE_PARAMETERS = _described(NodeSettings())
 #: Of every node, declared by rclpy.
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service")
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
-_WITH_RADIUS = (Sphere.kind, TorsionalRheometer.kind)
 _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
 
 def check(values: Mapping[str, object]) -> Parameters:
-    """Return all parameters: `values` checked, the others at their defaults.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, a value not allowed, or the radius of a kind that needs one missing.
-    """
-    found = Parameters().changed(values)
-    geometry = found.geometry
-    if geometry.kind in _WITH_RADIUS and not geometry.radius:
-        raise InputError(
-            f"geometry.kind is {geometry.kind} and geometry.radius is 0: state the radius [m]"
-        )
-    return found
+    """Return all parameters: `values` checked, the others at their defaults."""
+    return Parameters().changed(values)
 
 
 def parameter_named(name: str) -> Parameter:
-    """Return the parameter of a name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the line names the nearest.
-    """
+    """Return the parameter of a name."""
     if name in _BY_NAME:
         return _BY_NAME[name]
     near = difflib.get_close_matches(name, [*_BY_NAME, *_NODE_BY_NAME], n=1, cutoff=0.4)
@@ -258,13 +232,7 @@ def parameter_named(name: str) -> Parameter:
 
 
 def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
-    """Return the values that are the identification's; those of the node alone are checked.
-
-    Raises
-    ------
-    InputError
-        If one of the node's is not allowed.
-    """
+    """Return the values that are the identification's; those of the node alone are checked."""
     own: dict[str, object] = {}
     for name, value in values.items():
         if name in _NODE_BY_NAME:

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
+import functools
 import shlex
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Footer, Message, Schema
 from mcap.stream_reader import StreamReader
-from rosbags.interfaces import ConnectionExtRosbag1, MessageDefinitionFormat
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
@@ -59,51 +59,41 @@ class Topic:
         return type_hash(self.type_name, types)
 
 
-class DamageError(Exception):
-    """The rest of a file cannot be read."""
-
-
 @dataclass
 class BagFile:
-    """What one file of a bag holds; the messages themselves are read on demand.
-
-    Parameters
-    ----------
-    path : Path
-    topics : list of Topic
-    read : callable
-        Yields topic, time of recording (ns) and bytes of the messages of some topics, by time.
-    start_ns, end_ns : int, optional
-        Times of recording of the first and the last message; None without messages.
-    warnings : list of str
-    """
+    """What one file of a bag holds; the messages themselves are read on demand."""
 
     path: Path
-    topics: list[Topic]
+    #: Yields topic, time of recording (ns) and bytes of the messages of some topics, by time.
     read: Callable[[Collection[str]], Iterator[tuple[str, int, bytes]]]
-    start_ns: int | None = None
-    end_ns: int | None = None
+    start_ns: int | None = None  #: time of recording of the first message
+    end_ns: int | None = None  #: of the last
+    topics: list[Topic] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of some topics by time of recording, those of ROS 1 as CDR.
 
-        Raises
-        ------
-        DamageError
-            Where the file breaks.
+        Where the file breaks, that joins the warnings.
         """
         types = {topic.name: topic.type_name for topic in self.topics if topic.name in wanted}
         convert = {t.name: _from_ros1(t) for t in self.topics if t.encoding == _ROS1}
-        if not types:
-            return
         try:
-            for name, time_ns, data in self.read(types):
+            for name, time_ns, data in self.read(types) if types else ():
                 if name in convert:
                     data = convert[name](data)
                 yield RawMessage(name, types[name], time_ns, bytes(data))
         except Exception as error:  # for damaged bytes the packages let through every kind
-            raise DamageError(_reason(error)) from None
+            warning = f"{self.path.name} is damaged: the rest of it is lost ({_reason(error)})"
+            if warning not in self.warnings:
+                self.warnings.append(warning)
+
+    def add(self, topic: Topic) -> None:
+        """Add a topic, or another channel of one."""
+        try:
+            self.topics.append(replace(topic, type_name=full_type_name(topic.type_name)))
+        except InputError as error:
+            self.warnings.append(f"topic {topic.name} is not used: {error}")
 
 
 def _from_ros1(topic: Topic) -> Callable[[bytes], Any]:
@@ -116,18 +106,15 @@ def read_mcap(path: Path) -> BagFile | None:
     try:
         with opened(path) as stream:
             summary = SeekingReader(stream).get_summary()
-        statistics = summary.statistics if summary is not None else None
-        if summary is None or statistics is None:
-            return None
-        counts = statistics.channel_message_counts
-        size = path.stat().st_size
-        is_whole = sum(counts.values()) == statistics.message_count and all(
+        counts, size = summary.statistics.channel_message_counts, path.stat().st_size
+        total = summary.statistics.message_count
+        is_whole = sum(counts.values()) == total and all(
             one.chunk_start_offset + one.chunk_length <= size for one in summary.chunk_indexes
         )
-        if not is_whole or bool(summary.chunk_indexes) != bool(statistics.message_count):
+        if not is_whole or bool(summary.chunk_indexes) != bool(total):
             return None
-        channels = [summary.channels[number] for number in counts]
-        schemas = summary.schemas
+        # Those with messages first: they say what the topic is.
+        channels = sorted(summary.channels.values(), key=lambda channel: channel.id not in counts)
     except Exception:  # for bytes that are no MCAP the package lets through every kind
         return None
 
@@ -137,80 +124,78 @@ def read_mcap(path: Path) -> BagFile | None:
             for _, channel, message in reader.iter_messages(wanted):
                 yield channel.topic, message.log_time, message.data
 
-    others = [one for number, one in summary.channels.items() if number not in counts]
-    file = _mcap_file(path, [*channels, *others], schemas, Counter(counts), read)
-    if statistics.message_count:
-        file.start_ns, file.end_ns = statistics.message_start_time, statistics.message_end_time
-    return file
+    file = BagFile(path, read)
+    if total:
+        file.start_ns = summary.statistics.message_start_time
+        file.end_ns = summary.statistics.message_end_time
+    return _with_channels(file, channels, summary.schemas, counts)
 
 
 def scan_mcap(path: Path) -> BagFile:
     """Return what an MCAP file without an index holds: what stands before its end, or a cut."""
-    found = _Scan(path)
-    for _ in found.messages():
-        pass
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    counts: Counter[int] = Counter()
 
     def read(wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        kept = [one for one in _Scan(path).messages() if one[0] in wanted]
+        kept = [
+            (channels[one.channel_id].topic, one.log_time, one.data)
+            for one in _records(path)
+            if isinstance(one, Message) and channels[one.channel_id].topic in wanted
+        ]
         yield from sorted(kept, key=lambda message: message[1])
 
-    file = _mcap_file(path, list(found.channels.values()), found.schemas, found.counts, read)
-    file.start_ns, file.end_ns = found.start_ns, found.end_ns
-    if not found.is_complete:
-        file.warnings.append(
-            f"{path.name} is cut off or damaged: the {found.counts.total()} messages before that "
-            "are used"
-        )
-    return file
+    file = BagFile(path, read)
+    is_complete = False
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            counts[record.channel_id] += 1
+            times = (record.log_time, file.start_ns, file.end_ns)
+            known = [time for time in times if time is not None]
+            file.start_ns, file.end_ns = min(known), max(known)
+        is_complete = isinstance(record, Footer)
+    if not (is_complete or channels):
+        raise cut_short(path)
+    if not is_complete:
+        used = f"the {counts.total()} messages before that are used"
+        file.warnings.append(f"{path.name} is cut off or damaged: {used}")
+    return _with_channels(file, channels.values(), schemas, counts)
 
 
-class _Scan:
-    """Reads the records of a file from its start to its end, or to where it breaks."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.counts: Counter[int] = Counter()
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
-        self.is_complete = False
-
-    def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time of recording (ns) and bytes of each message, in the file's order."""
-        with self._path.open("rb") as stream:
-            records = iter(StreamReader(stream, validate_crcs=True).records)
-            while True:
-                try:
-                    record = next(records)
-                except Exception:  # for damaged bytes the package lets through every kind
-                    return
-                if isinstance(record, Schema):
-                    self.schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    self.channels[record.id] = record
-                elif isinstance(record, Message) and record.channel_id in self.channels:
-                    self._count(record)
-                    yield self.channels[record.channel_id].topic, record.log_time, record.data
-                elif isinstance(record, Footer):
-                    self.is_complete = True
-                    return
-
-    def _count(self, record: Message) -> None:
-        self.counts[record.channel_id] += 1
-        times = [record.log_time, self.start_ns, self.end_ns]
-        known = [time for time in times if time is not None]
-        self.start_ns, self.end_ns = min(known), max(known)
+def cut_short(path: Path) -> InputError:
+    """Return what is wrong with a file that holds too little."""
+    size = path.stat().st_size
+    return InputError(f"{path} is cut off before its first topic, at {size} bytes: copy it anew")
 
 
-def _mcap_file(
-    path: Path,
-    channels: Collection[Channel],
-    schemas: dict[int, Schema],
-    counts: Counter[int],
-    read: Callable[[Collection[str]], Iterator[tuple[str, int, bytes]]],
+def _records(path: Path) -> Iterator[Any]:
+    """Yield the records of an MCAP file from its start to its end, or to where it breaks."""
+    known = set()
+    with path.open("rb") as stream:
+        records = iter(StreamReader(stream, validate_crcs=True).records)
+        while True:
+            try:
+                record = next(records)
+            except Exception:  # for damaged bytes the package lets through every kind
+                return
+            if isinstance(record, Channel):
+                known.add(record.id)
+            if not isinstance(record, Message) or record.channel_id in known:
+                yield record
+            if isinstance(record, Footer):
+                return
+
+
+def _with_channels(
+    file: BagFile,
+    channels: Iterable[Channel],
+    schemas: Mapping[int, Schema],
+    counts: Mapping[int, int],
 ) -> BagFile:
-    file = BagFile(path, [], read)
     for channel in channels:
         schema = schemas.get(channel.schema_id)
         if schema is None or channel.message_encoding not in ("cdr", "ros1"):
@@ -219,49 +204,15 @@ def _mcap_file(
                 f"({channel.message_encoding or 'none'}): not used"
             )
             continue
-        topic = Topic(
-            channel.topic,
-            schema.name,
-            counts[channel.id],
-            Qos.from_bag(channel.metadata.get("offered_qos_profiles")),
-            schema.data.decode("utf-8", "replace").strip(),
-            schema.encoding,
-        )
-        _add(file, topic)
+        qos = Qos.from_bag(channel.metadata.get("offered_qos_profiles"))
+        text, count = schema.data.decode("utf-8", "replace").strip(), counts.get(channel.id, 0)
+        file.add(Topic(channel.topic, schema.name, count, qos, text, schema.encoding))
     return file
 
 
-def _add(file: BagFile, topic: Topic) -> None:
-    """Add a topic, or the messages of another channel of it."""
-    try:
-        topic = replace(topic, type_name=full_type_name(topic.type_name))
-    except InputError as error:
-        file.warnings.append(f"topic {topic.name} is not used: {error}")
-        return
-    for index, other in enumerate(file.topics):
-        if other.name == topic.name:
-            if other.type_name != topic.type_name:
-                raise InputError(
-                    f"{file.path}: topic {topic.name} has two types, {other.type_name} and "
-                    f"{topic.type_name}: record it anew"
-                )
-            count = other.message_count + topic.message_count
-            file.topics[index] = replace(other, message_count=count)
-            return
-    file.topics.append(topic)
-
-
 def read_rosbag(path: Path, *, is_ros1: bool = False) -> BagFile:
-    """Return what a sqlite3 file, a folder of rosbag2 or a bag of ROS 1 at `path` holds.
-
-    Raises
-    ------
-    InputError
-        If it is damaged, was not closed, or is none of rosbag2.
-    """
-
-    def opened_bag() -> AbstractContextManager[Any]:
-        return Ros1Reader(path) if is_ros1 else Ros2Reader(path)
+    """Return what a sqlite3 file, a folder of rosbag2 or a bag of ROS 1 at `path` holds."""
+    opened_bag: Any = functools.partial(Ros1Reader if is_ros1 else Ros2Reader, path)
 
     def read(wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         with opened_bag() as reader:
@@ -269,7 +220,7 @@ def read_rosbag(path: Path, *, is_ros1: bool = False) -> BagFile:
             for connection, time_ns, data in reader.messages(chosen):
                 yield connection.topic, time_ns, data
 
-    file = BagFile(path, [], read)
+    file = BagFile(path, read)
     try:
         with opened_bag() as reader:
             connections = list(reader.connections)
@@ -284,13 +235,11 @@ def read_rosbag(path: Path, *, is_ros1: bool = False) -> BagFile:
             ) from None
         raise InputError(f"{path} is damaged ({reason}): copy it anew") from None
     for one in connections:
-        offered: tuple[Qos, ...]
-        if isinstance(one.ext, ConnectionExtRosbag1):
-            offered, encoding = ((LATCHED,) if one.ext.latching else ()), _ROS1
-        else:
+        offered: tuple[Qos, ...] = (LATCHED,) if is_ros1 and one.ext.latching else ()
+        if not is_ros1:
             offered = Qos.from_bag(one.ext.offered_qos_profiles)
-            encoding = _ENCODINGS.get(one.msgdef.format, "")
-        _add(file, Topic(one.topic, one.msgtype, one.msgcount, offered, one.msgdef.data, encoding))
+        encoding = _ROS1 if is_ros1 else _ENCODINGS.get(one.msgdef.format, "")
+        file.add(Topic(one.topic, one.msgtype, one.msgcount, offered, one.msgdef.data, encoding))
     return file
 
 

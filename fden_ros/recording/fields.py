@@ -1,45 +1,51 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Numbers out of messages of any type, by a path such as ``wrench.torque.z`` or ``data[2]``."""
+"""Numbers in messages of any type, by a path such as ``wrench.torque.z`` or ``data[2]``."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fden_ros.core.streams import Quaternion
-from fden_ros.errors import InputError
+from fden_ros.core.streams import NumberOrVector, Quaternion
+from fden_ros.errors import Hint, InputError
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.message_types import carried_types, decoder
-
-Vector = tuple[float, float, float]
+from fden_ros.recording.reader import BagReader
+from fden_ros.recording.topics import RESULTS
 
 _PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*")
 _STEP = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+#: Messages of a topic that are looked at, spread over the bag: enough for a range.
+_SAMPLES = 1000
+#: Elements of a sequence that are looked at: more than an arm has joints, less than an image.
+_ELEMENTS = 16
+#: Lines of a listing that a person still reads.
+_LINES = 60
+#: What cannot be a measurement of a press, whatever its values.
+_SKIPPED = {"header", "stamp", "layout", "orientation", "rotation"}
+#: Types without a number of their own: of many frames, or of bytes that are no numbers.
+_PACKED = (
+    "tf2_msgs/msg/TFMessage",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/PointCloud2",
+)
 
 
 @dataclass(frozen=True)
 class FieldPath:
-    """Where in a message a number or a vector lies.
+    """Where in a message a number or a vector lies."""
 
-    Parameters
-    ----------
-    text : str
-        Names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``.
-
-    Raises
-    ------
-    InputError
-        If `text` is no path.
-    """
-
-    text: str
+    text: str  #: names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``
 
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.text) is None:
@@ -49,58 +55,44 @@ class FieldPath:
             )
 
     def of(self, message: Any) -> Any:
-        """Return what lies there.
-
-        Raises
-        ------
-        InputError
-            If a name of the path does not exist.
-        IndexError
-            If a sequence of the path is too short.
-        """
+        """Return what lies there; an IndexError says that a sequence is too short."""
         for name, index in _STEP.findall(self.text):
             if index:
                 message = message[int(index)]
                 continue
             if not hasattr(message, name):
-                fields = ", ".join(field_names(message)) or "no fields"
+                fields = ", ".join(_field_names(message)) or "no fields"
                 raise InputError(f"there is no {name} in the path {self.text}: there is {fields}")
             message = getattr(message, name)
         return message
 
-    def orientation_beside(self, message: Any) -> Quaternion | None:
-        """Return the orientation that stands beside a position or translation, if one does."""
+    def number_or_vector(self, message: Any) -> NumberOrVector | None:
+        """Return the number, or what has x, y, z or three numbers; None: a sequence is short."""
+        try:
+            value = self.of(message)
+        except IndexError:
+            return None
+        if isinstance(value, (int, float, np.number)):
+            return float(value)
+        if all(hasattr(value, axis) for axis in "xyz"):
+            return float(value.x), float(value.y), float(value.z)
+        if np.shape(value) == (3,) and np.asarray(value).dtype.kind in "iuf":
+            x, y, z = map(float, value)
+            return x, y, z
+        raise InputError(f"{self.text} is neither a number nor a vector")
+
+    def orientation(self, message: Any) -> Quaternion | None:
+        """Return the orientation next to a position or translation, if there is one."""
         above, _, _ = self.text.rpartition(".")
-        beside = FieldPath(above).of(message) if above else message
-        turn: Any = getattr(beside, "orientation", None) or getattr(beside, "rotation", None)
+        parent = FieldPath(above).of(message) if above else message
+        turn: Any = getattr(parent, "orientation", None) or getattr(parent, "rotation", None)
         if not all(hasattr(turn, axis) for axis in "xyzw"):
             return None
         return float(turn.x), float(turn.y), float(turn.z), float(turn.w)
 
 
-def as_number_or_vector(value: Any) -> float | Vector | None:
-    """Return a number as float, something with x, y, z or three numbers as vector, else None."""
-    if isinstance(value, (int, float, np.number)):
-        return float(value)
-    if all(hasattr(value, axis) for axis in "xyz"):
-        return float(value.x), float(value.y), float(value.z)
-    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
-        x, y, z = value
-        return float(x), float(y), float(z)
-    if getattr(value, "shape", None) == (3,):
-        x, y, z = value.tolist()
-        return float(x), float(y), float(z)
-    return None
-
-
 def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
-    """Return the function that decodes a topic's messages, by the definition that the bag carries.
-
-    Raises
-    ------
-    InputError
-        If the bag carries no definition that can be read, and none is known.
-    """
+    """Return what decodes a topic's messages, by the definition that the bag carries."""
     types = None
     if topic.definition:
         with contextlib.suppress(InputError):
@@ -114,6 +106,66 @@ def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
         ) from None
 
 
-def field_names(message: Any) -> list[str]:
-    """Return the names of the fields of a decoded message; none of anything else."""
+def _field_names(message: Any) -> list[str]:
     return [name for name in getattr(message, "__dict__", {}) if not name.startswith("_")]
+
+
+def hint_of(reader: BagReader, unclear: Collection[str]) -> Callable[[], Hint]:
+    """Return what lists a bag's numbers, and the options that name one for each of `unclear`."""
+
+    def hint() -> Hint:
+        options = [
+            word
+            for stream in unclear
+            for word in (f"--{stream}-topic", "TOPIC", f"--{stream}-field", "FIELD")
+        ]
+        lines = _listing(_ranges_of(reader))
+        return Hint(tuple(lines), tuple(options) if lines else ())
+
+    return hint
+
+
+def _ranges_of(reader: BagReader) -> dict[str, tuple[float, float]]:
+    """Return the smallest and largest of each number in a bag, by topic and path of its field."""
+    decoders, every = {}, {}
+    for topic in reader.topics:
+        if topic.message_count and not topic.type_name.startswith((RESULTS, *_PACKED)):
+            with contextlib.suppress(InputError):
+                decoders[topic.name] = decoder_of(topic)
+                every[topic.name] = math.ceil(topic.message_count / _SAMPLES)
+    counts: Counter[str] = Counter()
+    found: dict[str, tuple[float, float]] = {}
+    for message in reader.messages(decoders):
+        counts[message.topic] += 1
+        if counts[message.topic] % every[message.topic]:
+            continue
+        with contextlib.suppress(Exception):  # damaged bytes raise errors of every kind
+            for path, value in _numbers(decoders[message.topic](message.data)):
+                name = f"{message.topic} {path}"
+                low, high = found.get(name, (value, value))
+                found[name] = min(low, value), max(high, value)
+    return found
+
+
+def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(value, (bool, str, bytes)):
+        return
+    if isinstance(value, (int, float, np.number)):
+        if math.isfinite(value):
+            yield path, float(value)
+        return
+    if hasattr(value, "__len__"):
+        for index in range(min(len(value), _ELEMENTS)):
+            yield from _numbers(value[index], f"{path}[{index}]")
+        return
+    for name in _field_names(value):
+        if name not in _SKIPPED:
+            yield from _numbers(getattr(value, name), f"{path}.{name}".lstrip("."))
+
+
+def _listing(ranges: dict[str, tuple[float, float]]) -> list[str]:
+    moving = {name: span for name, span in ranges.items() if span[0] < span[1]}
+    width = max(map(len, moving), default=0)
+    lines = [f"{name:{width}}  {low:.6g} to {high:.6g}" for name, (low, high) in moving.items()]
+    left = len(lines) - _LINES
+    return [*lines[:_LINES], *([f"and {left} more"] if left > 0 else [])]

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fden_ros.parameters import Parameters, Value
+from fden_ros.recording.headings import factor_of
 from fden_ros.recording.table import TableReader
-from fden_ros.recording.units import factor_of
 
 #: A machine presses harder than a robot may: the largest of them have 600 kN.
 _PLAUSIBLE_FORCE = 1e6
@@ -45,24 +45,21 @@ def machine_values(
 ) -> tuple[dict[str, Value], tuple[str, ...], tuple[str, ...]]:
     """Return values of parameters that a table states, a line on each, and what is to be stated.
 
-    What is configured otherwise is left alone.
-
-    Parameters
-    ----------
-    table : TableReader
-    parameters : Parameters
-    from_touch : bool, optional
-        Whether it begins at the touch, tared; None: as its preamble says.
+    What is configured otherwise is left alone. `from_touch` states whether the table begins at the
+    touch, tared; None: as its preamble says.
     """
     sizes = sizes_of(table.layout.preamble)
     values = _unstated(sizes, parameters)
     lines = [f"{_shown(values)}, by what stands before the headings"] if values else []
     way = table.displacement[~np.isnan(table.displacement)]
-    is_open = from_touch is None and _is_default(parameters) and way.size > 0
-    is_touched = from_touch or (is_open and "thickness" in sizes and _begins_at_touch(table))
-    if is_touched and way.size:
+    core = parameters.core
+    is_default = core.contact_point is None and core.contact.measure_bias
+    may_begin = (
+        from_touch is None and is_default and not core.is_continuous and _begins_at_touch(table)
+    )
+    if way.size and (from_touch or (may_begin and "thickness" in sizes)):
         sign = -1.0 if parameters.displacement.inverted else 1.0
-        most = max(parameters.core.plausibility.most_force, _PLAUSIBLE_FORCE)
+        most = max(core.plausibility.most_force, _PLAUSIBLE_FORCE)
         touched: dict[str, Value] = {
             "origin.source": "given",
             "origin.displacement": sign * float(way[0]),
@@ -71,13 +68,11 @@ def machine_values(
         }
         why = "by --from-touch" if from_touch else "by the specimen before the headings"
         return {**values, **touched}, (*lines, f"{_shown(touched)}, {why}"), ()
-    questions: tuple[str, ...] = ()
-    if is_open and _begins_at_touch(table):
-        questions = (
-            f"{table.path.name} may begin at the touch, without air: then give --from-touch, "
-            "otherwise --no-from-touch",
-        )
-    return values, tuple(lines), questions
+    question = (
+        f"{table.path.name} may begin at the touch, without air: then give --from-touch, "
+        "otherwise --no-from-touch"
+    )
+    return values, tuple(lines), (question,) if may_begin else ()
 
 
 def _begins_at_touch(table: TableReader) -> bool:
@@ -94,15 +89,6 @@ def _begins_at_touch(table: TableReader) -> bool:
         return False
     risen = abs(float(np.median(force[until : until + _MEDIAN]) - np.median(before)))
     return risen > max(_RISEN * most, _RISEN_SD * float(before.std()))
-
-
-def _is_default(parameters: Parameters) -> bool:
-    """Return whether neither the origin nor the force's bias was configured."""
-    return (
-        not parameters.core.is_continuous
-        and parameters.core.contact_point is None
-        and parameters.core.contact.measure_bias
-    )
 
 
 def _unstated(sizes: dict[str, float], parameters: Parameters) -> dict[str, Value]:

@@ -33,13 +33,7 @@ _PADDING = 8
 
 
 def full_type_name(type_name: str) -> str:
-    """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``.
-
-    Raises
-    ------
-    InputError
-        When `type_name` is neither.
-    """
+    """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
         raise InputError(f"{type_name!r} is no message type: expected package/msg/Name")
@@ -48,13 +42,7 @@ def full_type_name(type_name: str) -> str:
 
 @functools.cache
 def message_class(type_name: str) -> Any:
-    """Return the ROS class of a message type such as ``geometry_msgs/msg/WrenchStamped``.
-
-    Raises
-    ------
-    InputError
-        When the type is not installed.
-    """
+    """Return the ROS class of a message type such as ``geometry_msgs/msg/WrenchStamped``."""
     package, _, name = full_type_name(type_name).split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -69,13 +57,7 @@ def _known_types() -> Typestore:
 
 @functools.cache
 def known_types(type_name: str) -> Typestore:
-    """Return the types of ROS 2 Jazzy, with those of the package of `type_name`.
-
-    Raises
-    ------
-    InputError
-        When the type is neither one of these nor installed.
-    """
+    """Return the types of ROS 2 Jazzy, with those of the package of `type_name`."""
     store = _known_types()
     if type_name in store.types:
         return store
@@ -95,11 +77,6 @@ def carried_types(type_name: str, definition: str, encoding: str) -> Typestore:
     """Return the types of a definition that a bag carries, in the encoding of its schema.
 
     Those of ROS 1 (``ros1msg``) have the header of ROS 2, which has no ``seq``.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
     """
     store = get_typestore(Stores.EMPTY)
     try:
@@ -129,20 +106,9 @@ def type_hash(type_name: str, types: Typestore | None = None) -> str:
 
 
 def decoder(type_name: str, types: Typestore | None = None) -> Callable[[bytes], Any]:
-    """Return what makes a message of its CDR bytes.
+    """Return what makes a message of its CDR bytes, by the types that a bag carries or known ones.
 
     It raises an error of whatever kind for bytes that do not fit.
-
-    Parameters
-    ----------
-    type_name : str
-    types : Typestore, optional
-        As a bag carries them; None: those that are known.
-
-    Raises
-    ------
-    InputError
-        When the type is not known.
     """
     store: Any = types or known_types(type_name)
     kind = store.get_msgdef(type_name)
@@ -159,13 +125,7 @@ def decoder(type_name: str, types: Typestore | None = None) -> Callable[[bytes],
 
 
 def serialize(message: Any) -> bytes:
-    """Return the CDR bytes of a message, decoded or of a ROS class: the same bytes every time.
-
-    Raises
-    ------
-    InputError
-        When a field holds a value that does not fit its type.
-    """
+    """Return the CDR bytes of a message, decoded or of a ROS class: the same bytes every time."""
     cls = type(message)
     is_decoded = hasattr(message, "__msgtype__")
     name = f"{cls.__module__.partition('.')[0]}/msg/{cls.__name__}"

@@ -36,13 +36,7 @@ def needs_extra(what: str) -> Iterator[None]:
 
 
 def place(where: str | Path) -> Path:
-    """Return a path or, of a URL, what is used as one.
-
-    Raises
-    ------
-    InputError
-        If what opens such a URL is not installed.
-    """
+    """Return a path or, of a URL, what is used as one."""
     if not isinstance(where, str):
         return where
     if "://" not in where:
@@ -85,13 +79,7 @@ def is_remote(path: Path) -> bool:
 
 @contextmanager
 def reached(path: Path) -> Iterator[None]:
-    """Say in one line why a URL cannot be read.
-
-    Raises
-    ------
-    InputError
-        If it cannot.
-    """
+    """Say in one line why a URL cannot be read."""
     try:
         yield
     except Exception as error:

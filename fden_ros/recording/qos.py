@@ -43,11 +43,6 @@ class Qos:
         )
 
     @property
-    def reliable(self) -> bool:
-        """Whether delivery is guaranteed."""
-        return self.reliability != "best_effort"
-
-    @property
     def latched(self) -> bool:
         """Whether late subscribers receive the last messages."""
         return self.durability == "transient_local"
@@ -71,9 +66,10 @@ class Qos:
         """Return the ``rclpy`` profile, with a queue of at least one message."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+        is_lossy = self.reliability == "best_effort"
         return QoSProfile(
             depth=max(self.depth, 1),
-            reliability=ReliabilityPolicy[("BEST_EFFORT", "RELIABLE")[self.reliable]],
+            reliability=ReliabilityPolicy["BEST_EFFORT" if is_lossy else "RELIABLE"],
             durability=DurabilityPolicy[("VOLATILE", "TRANSIENT_LOCAL")[self.latched]],
         )
 

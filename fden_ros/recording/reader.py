@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import fnmatch
 import heapq
-from collections.abc import Collection, Iterator, Sequence
+import json
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,9 +20,9 @@ from fden_ros.errors import InputError
 from fden_ros.recording.bag_files import (
     MAGIC,
     BagFile,
-    DamageError,
     RawMessage,
     Topic,
+    cut_short,
     read_mcap,
     read_rosbag,
     scan_mcap,
@@ -31,26 +32,12 @@ from fden_ros.recording.message_types import decoder
 from fden_ros.recording.places import called, copied, exists, is_folder, is_remote, place, reached
 
 METADATA_FILE = "metadata.yaml"
+TRUTH_TOPIC, TRUTH_TYPE = "/simulation/truth", "std_msgs/msg/String"
 _SQLITE3 = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 #: Names of the files of a bag without metadata; the first pattern that some match counts.
 _RECORDINGS = ("*.mcap", "*.db3", "*.bag")
 _EXPECTED = "give a bag folder, or an .mcap, .db3 or .bag file"
-
-
-def topic_named(where: str, present: Sequence[Topic], name: str) -> Topic:
-    """Return the topic called `name`, with or without the leading slash.
-
-    Raises
-    ------
-    InputError
-        When there is none; the line says `where`.
-    """
-    for topic in present:
-        if topic.name in (name, f"/{name}"):
-            return topic
-    names = ", ".join(topic.name for topic in present) or "none"
-    raise InputError(f"{where} has no topic {name}: it has {names}")
 
 
 class BagReader:
@@ -63,11 +50,6 @@ class BagReader:
     path
         A folder with the files of a bag, or one: ``.mcap``, ``.db3`` (sqlite3) or ``.bag`` (ROS 1,
         whose messages come in ROS 2's encoding).
-
-    Raises
-    ------
-    InputError
-        When the path is missing, empty, damaged or no bag.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -77,11 +59,11 @@ class BagReader:
         with reached(self.path):
             self._files = [self._open(file) for file in self._find_files()]
         self._files.sort(key=lambda file: file.start_ns or 0)
-        for file in self._files:
-            self._warnings += file.warnings
-        self._topics = _joined(self._files)
+        self._topics = self._joined()
         if not self._topics:
-            raise self._without_topics()
+            raise InputError(
+                f"{self.path} holds no messages of ROS: expected topics encoded in CDR"
+            )
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -91,7 +73,7 @@ class BagReader:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the bag, a line each; damage joins where it is read."""
-        return tuple(self._warnings)
+        return (*self._warnings, *(line for file in self._files for line in file.warnings))
 
     @property
     def message_count(self) -> int:
@@ -109,30 +91,20 @@ class BagReader:
         return max((f.end_ns for f in self._files if f.end_ns is not None), default=None)
 
     def topic(self, name: str) -> Topic:
-        """Return the topic called `name`, with or without the leading slash.
-
-        Raises
-        ------
-        InputError
-            When the bag has no such topic.
-        """
-        return topic_named(str(self.path), self._topics, name)
+        """Return the topic called `name`, with or without the leading slash."""
+        for topic in self._topics:
+            if topic.name in (name, f"/{name}"):
+                return topic
+        names = ", ".join(topic.name for topic in self._topics)
+        raise InputError(f"{self.path} has no topic {name}: it has {names}")
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages by time of recording; those of one time in the order of the file.
+        """Yield the messages of some topics, or all, by time of recording.
 
-        Parameters
-        ----------
-        topics
-            Names of the topics wanted; all when None.
-
-        Raises
-        ------
-        InputError
-            When a topic is not in the bag.
+        Those of one time come in the order of the file.
         """
         names = [topic.name for topic in self._topics] if topics is None else topics
-        return self._merged(frozenset(self.topic(name).name for name in names))
+        return self._merged([self.topic(name).name for name in names])
 
     def _merged(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of the files, of which those that overlap are open at once."""
@@ -141,16 +113,22 @@ class BagReader:
             group = [files.pop(0)]
             while files and (files[0].start_ns or 0) <= max(file.end_ns or 0 for file in group):
                 group.append(files.pop(0))
-            streams = [self._stream(file, wanted) for file in group]
+            streams = [file.messages(wanted) for file in group]
             yield from heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
-    def _stream(self, file: BagFile, wanted: Collection[str]) -> Iterator[RawMessage]:
-        try:
-            yield from file.messages(wanted)
-        except DamageError as error:
-            warning = f"{file.path.name} is damaged: the rest of it is lost ({error})"
-            if warning not in self._warnings:
-                self._warnings.append(warning)
+    def _joined(self) -> tuple[Topic, ...]:
+        """Return the topics of the files, each with the messages of all its channels."""
+        found: dict[str, Topic] = {}
+        for topic in (topic for file in self._files for topic in file.topics):
+            same = found.get(topic.name, replace(topic, message_count=0))
+            if same.type_name != topic.type_name:
+                raise InputError(
+                    f"{self.path}: topic {topic.name} has two types, {same.type_name} and "
+                    f"{topic.type_name}: record it anew"
+                )
+            count = same.message_count + topic.message_count
+            found[topic.name] = replace(same, message_count=count)
+        return tuple(found[name] for name in sorted(found))
 
     # Finding and opening the files
 
@@ -182,19 +160,13 @@ class BagReader:
             if metadata.get("compression_format"):
                 # rosbags unpacks its files, or each of its messages.
                 return [self.path]
-        except FileNotFoundError:
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, yaml.YAMLError):
             self._warnings.append(
-                f"no {METADATA_FILE} (interrupted recording?): all files are used"
+                f"{METADATA_FILE} is missing or cannot be read (interrupted recording?): all "
+                "files are used"
             )
             return []
-        except (OSError, ValueError, TypeError, KeyError, AttributeError, yaml.YAMLError):
-            self._warnings.append(f"{METADATA_FILE} cannot be read: all files are used")
-            return []
-        # Bags of ROS 2 Dashing and older name the files with the folder in front.
-        return [
-            self.path / name if exists(self.path / name) else self.path / name.name
-            for name in names
-        ]
+        return [self.path / name for name in names]
 
     def _open(self, path: Path) -> BagFile:
         if is_remote(path):
@@ -212,12 +184,6 @@ class BagReader:
         copy = copied(path, self._copies.name)
         with called(copy, path):
             return self._open(copy)
-
-    def _without_topics(self) -> InputError:
-        for file in self._files:
-            if any("is cut off" in warning for warning in file.warnings):
-                return _cut_short(file.path)
-        return InputError(f"{self.path} holds no messages of ROS: expected topics encoded in CDR")
 
 
 def _read(path: Path) -> BagFile:
@@ -238,28 +204,12 @@ def _read(path: Path) -> BagFile:
     if head.startswith(MAGIC):
         return read_mcap(path) or scan_mcap(path)
     if any(magic.startswith(head) for magic in (MAGIC, _SQLITE3, _ROS1)):
-        raise _cut_short(path)
+        raise cut_short(path)
     raise InputError(f"{path} is no bag: {reason_of(head) or _EXPECTED}")
 
 
-def _joined(files: Sequence[BagFile]) -> tuple[Topic, ...]:
-    """Return the topics of the files, each with the messages of all."""
-    found: dict[str, Topic] = {}
-    for topic in (topic for file in files for topic in file.topics):
-        same = found.get(topic.name)
-        count = topic.message_count + (same.message_count if same is not None else 0)
-        found[topic.name] = replace(same or topic, message_count=count)
-    return tuple(found[name] for name in sorted(found))
-
-
 def decode(message: RawMessage) -> Any:
-    """Return a message decoded.
-
-    Raises
-    ------
-    InputError
-        When its type is not known or its bytes do not fit the type.
-    """
+    """Return a message decoded."""
     decoded = decoder(message.type_name)
     try:
         return decoded(message.data)
@@ -270,13 +220,22 @@ def decode(message: RawMessage) -> Any:
         ) from error
 
 
-def _cut_short(path: Path) -> InputError:
-    return InputError(
-        f"{path} is cut off before its first topic, at {path.stat().st_size} bytes: copy it anew"
-    )
-
-
 def is_bag_file(path: Path) -> bool:
     """Return whether a file is one of a bag by its name."""
     is_file = is_remote(path) or path.is_file()
     return is_file and any(fnmatch.fnmatch(path.name, pattern) for pattern in _RECORDINGS)
+
+
+def read_truth(bag: BagReader) -> dict[str, Any] | None:
+    """Return the truth that a simulated bag carries, as ``fden bag`` writes it; or None."""
+    if not any((one.name, one.type_name) == (TRUTH_TOPIC, TRUTH_TYPE) for one in bag.topics):
+        return None
+    for message in bag.messages([TRUTH_TOPIC]):
+        try:
+            truth: dict[str, Any] = dict(json.loads(decode(message).data))
+        except (ValueError, TypeError) as error:
+            raise InputError(
+                f"{TRUTH_TOPIC} holds no JSON object ({error}): make it anew"
+            ) from None
+        return truth
+    return None

@@ -7,40 +7,40 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.streams import Sink
-from fden_ros.errors import Hint, InputError
+from fden_ros.errors import InputError
+from fden_ros.inputs import (
+    DAMAGED,
+    TRANSFORM_TOPICS,
+    TRANSFORMS,
+    TYPE_NAMES,
+    Inputs,
+    inputs_of,
+    stamp_ns,
+    stream_of,
+)
 from fden_ros.parameters import Parameters, frames_config, moves_probe
 from fden_ros.recording.bag_files import RawMessage, Topic
-from fden_ros.recording.candidates import hint_of
-from fden_ros.recording.fields import FieldPath, as_number_or_vector, decoder_of
+from fden_ros.recording.fields import FieldPath, decoder_of, hint_of
 from fden_ros.recording.machine import machine_values
 from fden_ros.recording.places import called, copied, is_remote, place, reached
-from fden_ros.recording.reader import BagReader, decode
+from fden_ros.recording.reader import BagReader
 from fden_ros.recording.stamps import LOOKED_AT, carried_stamp, problems
-from fden_ros.recording.table import Columns, TableReader, stated_columns
+from fden_ros.recording.table import Columns, TableReader
 from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.topics import (
     NoTopicError,
     find_topic,
     is_commanded,
     topic_with_messages,
-)
-from fden_ros.ros.inputs import (
-    DAMAGED,
-    TRANSFORM_TOPICS,
-    TRANSFORMS,
-    TYPE_NAMES,
-    Inputs,
-    NumberOrVector,
-    stamp_ns,
-    stream_of,
 )
 
 _ALWAYS = ("force", "displacement")
@@ -65,6 +65,15 @@ class Selection:
     stamps: str = "header"  #: of a bag's messages; or ``recording``, the time of their recording
     from_touch: bool | None = None  #: whether a table begins at the touch; None: by its preamble
 
+    def options(self) -> list[str]:
+        """Return the options of commands that select the same."""
+        named = {f"--{stream}-topic": name for stream, name in self.topics.items()}
+        named |= {f"--{stream}-field": path for stream, path in self.fields.items()}
+        named |= {"--stamps": self.stamps} if self.stamps != "header" else {}
+        named |= {"--rows": "=".join(self.where)} if self.where is not None else {}
+        named |= {"--columns": str(self.columns)} if self.columns is not None else {}
+        return [word for option in named.items() for word in option]
+
 
 def is_table(path: str | Path, selection: Selection | None) -> bool:
     """Return whether a recording is read as a table."""
@@ -74,13 +83,7 @@ def is_table(path: str | Path, selection: Selection | None) -> bool:
 def open_source(
     path: str | Path, parameters: Parameters, selection: Selection | None = None
 ) -> Source:
-    """Return the recording at `path`.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or it is not clear what in it is force and displacement.
-    """
+    """Return the recording at `path`."""
     chosen = selection or Selection()
     if is_table(path, chosen):
         return _open_table(place(path), parameters, chosen)
@@ -90,27 +93,41 @@ def open_source(
     return BagSource(path, parameters, chosen)
 
 
-def _open_table(path: Path, parameters: Parameters, selection: Selection) -> TableSource:
-    """Return a table, or a copy of one at a URL, since it is read more than once."""
-    folder = TemporaryDirectory(prefix="fden_") if is_remote(path) else None
-    with reached(path):
-        here = copied(path, folder.name) if folder is not None else path
-    with called(here, path):
-        columns = selection.columns or stated_columns(here)
-        source = TableSource(here, parameters, replace(selection, columns=columns))
-    source.folder = folder
-    return source
+def _open_table(path: Path, parameters: Parameters, selection: Selection) -> RowSource:
+    for name, is_set, what in (
+        ("tool.mass", bool(parameters.tool.mass), "the tool's orientation"),
+        ("displacement.along_tool", parameters.displacement.along_tool, "the same"),
+        ("frames.base", bool(parameters.frames.base), "transforms"),
+    ):
+        if is_set:
+            raise InputError(
+                f"{name} asks for {what}, which a table does not hold: unset it, or replay a bag"
+            )
+    with TemporaryDirectory(prefix="fden_") as folder:
+        with reached(path):
+            here = copied(path, folder) if is_remote(path) else path
+        with called(here, path):
+            table = TableReader(here, selection.columns, selection.where)
+            found = machine_values(table, parameters, selection.from_touch)
+    columns = table.columns
+    values, set_by_recording, questions = found
+    return RowSource(
+        (table.stamps, table.force, table.displacement),
+        parameters.changed(values) if values else parameters,
+        {
+            "force": table.named(columns.force),
+            "displacement": table.named(columns.displacement),
+            "time": table.named(columns.time),
+        },
+        (*table.warnings, *questions),
+        set_by_recording,
+    )
 
 
 class BagSource:
     """A bag whose topics of force and displacement are known.
 
     It can be fed into a pipeline, once.
-
-    Raises
-    ------
-    InputError
-        As :func:`open_source`.
     """
 
     set_by_recording: tuple[str, ...] = ()
@@ -118,24 +135,29 @@ class BagSource:
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
         self.parameters = parameters
-        self._selection = selection
         self._is_stamped = selection.stamps == "header" and parameters.stamp_source == "header"
-        self._fields: dict[str, str | None] = {}
-        self.topics: dict[str, Topic] = {}
         wanted = ("force",) if moves_probe(parameters) else _ALWAYS
+        self._paths = {s: FieldPath(selection.fields[s]) for s in wanted if s in selection.fields}
+        self.topics: dict[str, Topic] = {}
         for stream in wanted:
-            self._fields[stream] = selection.fields.get(stream)
+            name = selection.topics.get(stream)
             try:
-                self.topics[stream] = self._find(stream, selection.topics.get(stream))
+                if name is not None and stream in self._paths:
+                    self.topics[stream] = topic_with_messages(self.reader, name)
+                else:
+                    others = self.topics.values()
+                    self.topics[stream] = find_topic(self.reader, name, stream, others)
             except NoTopicError as error:
-                raise InputError(str(error), self._hint(wanted)) from None
+                named = {**selection.topics, **self.topics}
+                hint = hint_of(self.reader, [one for one in wanted if one not in named])
+                raise InputError(str(error), hint) from None
         self._frames = frames_config(parameters)
         if self._frames is not None:
             self._find_transforms()
         self._notes = [
             f"{topic.name} is commanded by its name, not measured"
-            for stream, topic in self.topics.items()
-            if stream not in TRANSFORM_TOPICS and is_commanded(topic)
+            for topic in self._measured.values()
+            if is_commanded(topic)
         ]
         self.stamp_problems: list[str] = []
         self._inputs: Inputs | None = None
@@ -144,7 +166,6 @@ class BagSource:
         for topic in self.reader.topics:
             stream = "/" + topic.name.rpartition("/")[2]
             if stream in TRANSFORM_TOPICS and topic.type_name == TRANSFORMS:
-                self._fields[stream] = None
                 self.topics[stream] = topic
         if not set(self.topics) & set(TRANSFORM_TOPICS):
             raise InputError(
@@ -152,34 +173,9 @@ class BagSource:
                 "/tf and /tf_static too, or unset frames.base"
             )
 
-    def _find(self, stream: str, topic: str | None) -> Topic:
-        if self._fields[stream] is not None and topic is not None:
-            return topic_with_messages(str(self.reader.path), self.reader.topics, topic)
-        present, where = self.reader.topics, str(self.reader.path)
-        return find_topic(where, present, topic, stream, self.topics.values())
-
-    def _hint(self, wanted: Collection[str]) -> Callable[[], Hint]:
-        """Return what lists the numbers of the bag, for what of force and displacement is open."""
-        named = {**self._selection.topics, **self.topics}
-        return hint_of(self.reader, [s for s in wanted if s in _ALWAYS and s not in named])
-
-    def _note_joints(self) -> None:
-        """Say which of several joints is taken where none is named."""
-        for stream in _ALWAYS:
-            topic = self.topics.get(stream)
-            is_open = topic is not None and self._fields[stream] is None
-            if topic is None or not is_open or getattr(self.parameters, stream).name:
-                continue
-            if topic.type_name == _JOINTS:
-                first = next(self.reader.messages([topic.name]), None)
-                names: list[str] = []
-                with contextlib.suppress(InputError):  # counted as damaged where it is used
-                    names = list(decode(first).name) if first is not None else []
-                if len(names) > 1:
-                    self.note(
-                        f"{topic.name} has the joints {', '.join(names)}: the first is the "
-                        f"{stream}; name another by {stream}.name, as `fden configure` does"
-                    )
+    @property
+    def _measured(self) -> dict[str, Topic]:
+        return {stream: topic for stream, topic in self.topics.items() if stream in _ALWAYS}
 
     @property
     def force(self) -> Topic:
@@ -194,8 +190,8 @@ class BagSource:
     @property
     def inputs(self) -> dict[str, str]:
         """Topic of each quantity, with the field where one is configured."""
-        fields = {stream: f" {field}" if field else "" for stream, field in self._fields.items()}
-        names = {stream: topic.name + fields[stream] for stream, topic in self.topics.items()}
+        names = {stream: topic.name for stream, topic in self.topics.items()}
+        names |= {stream: f"{names[stream]} {path.text}" for stream, path in self._paths.items()}
         if self._frames is not None and self._frames.moves_probe:
             names["displacement"] = f"{self._frames.probe} in {self._frames.base}"
         order = (*_ALWAYS, *TRANSFORM_TOPICS)
@@ -216,17 +212,20 @@ class BagSource:
         """frame_id of the positions so far."""
         return self._inputs.displacement_frame if self._inputs is not None else ""
 
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
+    def feed(
+        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+    ) -> Iterator[int]:
         """Feed `sink` the messages in the order of their recording, and yield the steps done.
 
         `before` is called with the time of recording (ns) and the message before its sample goes
-        in.
+        in. Inputs take the measurements as they are.
         """
-        self._inputs = Inputs(self.parameters, sink)
-        self._note_joints()
+        self._inputs = inputs = inputs_of(self.parameters, sink)
+        if inputs is not sink:
+            self._note_joints()
         handlers: dict[str, list[Callable[[RawMessage], None]]] = {}
         for stream, topic in self.topics.items():
-            handlers.setdefault(topic.name, []).append(self._handler(stream, topic))
+            handlers.setdefault(topic.name, []).append(self._handler(stream, topic, inputs))
         for done, message in enumerate(self.messages(handlers), start=1):
             before(message.log_time_ns, message)
             for handle in handlers[message.topic]:
@@ -239,31 +238,38 @@ class BagSource:
         What is wrong with the stamps of force, displacement and the like joins the warnings.
         """
         if self._is_stamped:
-            self.stamp_problems = problems(
-                {
-                    topic.name: self._stamps(topic)
-                    for stream, topic in self.topics.items()
-                    if stream not in TRANSFORM_TOPICS
-                }
-            )
+            stamps: dict[str, list[tuple[int, int]]] = {}
+            for topic in self._measured.values():
+                pairs = stamps[topic.name] = []
+                for sample, time_ns in self._first(topic, LOOKED_AT):
+                    stamp = carried_stamp(sample)
+                    pairs.append((time_ns if stamp is None else stamp_ns(stamp), time_ns))
+            self.stamp_problems = problems(stamps)
         return self.reader.messages(topics)
 
-    def _stamps(self, topic: Topic) -> list[tuple[int, int]]:
-        """Return header stamps and times of recording (ns) of a topic's first messages."""
+    def _first(self, topic: Topic, most: int) -> Iterator[tuple[Any, int]]:
+        """Yield the first messages of a topic, decoded, with their times of recording [ns]."""
         decode = decoder_of(topic)
-        pairs = []
-        for message in itertools.islice(self.reader.messages([topic.name]), LOOKED_AT):
+        for message in itertools.islice(self.reader.messages([topic.name]), most):
             with contextlib.suppress(Exception):  # counted as damaged where it is used
-                stamp = carried_stamp(decode(message.data))
-                header = message.log_time_ns if stamp is None else stamp_ns(stamp)
-                pairs.append((header, message.log_time_ns))
-        return pairs
+                yield decode(message.data), message.log_time_ns
 
-    def _handler(self, stream: str, topic: Topic) -> Callable[[RawMessage], None]:
-        field, inputs = self._fields[stream], self._inputs
-        assert inputs is not None
-        decode = decoder_of(topic)
-        take = self._field_taker(stream, topic, FieldPath(field), inputs) if field else None
+    def _note_joints(self) -> None:
+        """Say which of several joints is taken where none is named."""
+        for stream, topic in self._measured.items():
+            is_named = stream in self._paths or getattr(self.parameters, stream).name
+            if is_named or topic.type_name != _JOINTS:
+                continue
+            for sample, _ in self._first(topic, 1):
+                if len(sample.name) > 1:
+                    self.note(
+                        f"{topic.name} has the joints {', '.join(sample.name)}: the first is the "
+                        f"{stream}; name another by {stream}.name, as `fden configure` does"
+                    )
+
+    def _handler(self, stream: str, topic: Topic, inputs: Inputs) -> Callable[[RawMessage], None]:
+        """Return what feeds the messages of a topic."""
+        decode, path = decoder_of(topic), self._paths.get(stream)
 
         def handle(message: RawMessage) -> None:
             try:
@@ -271,53 +277,29 @@ class BagSource:
             except Exception:  # damaged bytes raise errors of every kind
                 inputs.reject(stream_of(stream), DAMAGED)
                 return
-            if take is not None:
-                take(sample, message.log_time_ns)
-            else:
+            if path is None:
                 inputs.add(stream, sample, None if self._is_stamped else message.log_time_ns)
-
-        return handle
-
-    def _field_taker(
-        self, stream: str, topic: Topic, path: FieldPath, inputs: Inputs
-    ) -> Callable[[Any, int], None]:
-        """Return what takes one field out of every decoded message of a topic."""
-        has_value = False
-
-        def value_of(sample: Any) -> NumberOrVector | None:
-            nonlocal has_value
+                return
             try:
-                found = path.of(sample)
-            except IndexError:
-                return None
+                value = path.number_or_vector(sample)
             except InputError as error:
-                raise InputError(f"{topic.name}: {error}") from None
-            value = as_number_or_vector(found)
-            if value is None and not has_value:
-                raise InputError(
-                    f"{topic.name}: {path.text} is neither a number nor a vector: choose another "
-                    f"field with --{stream}-field"
-                )
-            has_value = True
-            return value
-
-        def take(sample: Any, log_time_ns: int) -> None:
-            value = value_of(sample)
+                why = f"{topic.name}: {error}: choose another field with --{stream}-field"
+                raise InputError(why) from None
             carried = carried_stamp(sample) if self._is_stamped else None
             if carried is None and self._is_stamped:
                 self.note(
                     f"{topic.name} carries no stamps: the times of recording are used, which "
                     "jitter"
                 )
-            stamp = log_time_ns if carried is None else stamp_ns(carried)
+            stamp = message.log_time_ns if carried is None else stamp_ns(carried)
             frame = str(getattr(getattr(sample, "header", None), "frame_id", ""))
             if stream == "force":
                 inputs.add_force(frame, stamp, value)
             else:
-                turn = path.orientation_beside(sample)
+                turn = path.orientation(sample)
                 inputs.add_displacement(frame, stamp, value, turn)
 
-        return take
+        return handle
 
     def note(self, text: str) -> None:
         """Add a warning, once."""
@@ -325,94 +307,37 @@ class BagSource:
             self._notes.append(text)
 
 
-class TableSource:
-    """A table with columns of time, force and displacement.
+@dataclass(frozen=True, eq=False)
+class RowSource:
+    """A table, or arrays, fed row by row."""
 
-    Raises
-    ------
-    InputError
-        As :func:`open_source`.
-    """
-
-    frame = displacement_frame = ""
-    folder: TemporaryDirectory[str] | None = None  #: of a copy, which lives as long as this
-
-    def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
-        assert selection.columns is not None
-        for name, is_set, what in (
-            ("tool.mass", bool(parameters.tool.mass), "the tool's orientation"),
-            ("displacement.along_tool", parameters.displacement.along_tool, "the same"),
-            ("frames.base", bool(parameters.frames.base), "transforms"),
-        ):
-            if is_set:
-                raise InputError(
-                    f"{name} asks for {what}, which a table does not hold: unset it, or replay a "
-                    "bag"
-                )
-        self._columns = selection.columns
-        self._table = TableReader(path, selection.columns, selection.where)
-        values, self.set_by_recording, questions = machine_values(
-            self._table, parameters, selection.from_touch
-        )
-        #: What was wrong with the table, or is to be stated.
-        self.warnings = (*self._table.warnings, *questions)
-        #: The parameters, with what the table says or needs.
-        self.parameters = parameters.changed(values) if values else parameters
+    #: Stamps [ns], force [N] and displacement [m], shape (n,) each; NaN where a row has none.
+    columns: tuple[Any, Array, Array]
+    parameters: Parameters  #: with what the table says or needs
+    inputs: dict[str, str]  #: column of each quantity
+    warnings: tuple[str, ...] = ()  #: what is wrong with it, or is to be stated
+    set_by_recording: tuple[str, ...] = ()  #: what of the parameters the table says, a line each
+    frame: str = ""
+    displacement_frame: str = ""
 
     @property
     def total(self) -> int:
         """Rows."""
-        return int(self._table.stamps.size)
+        return int(self.columns[0].size)
 
-    @property
-    def inputs(self) -> dict[str, str]:
-        """Column of each quantity."""
-        columns = {
-            "force": self._columns.force,
-            "displacement": self._columns.displacement,
-            "time": self._columns.time,
-        }
-        return {stream: self._table.named(column) for stream, column in columns.items()}
-
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed the rows in the order of the file."""
-        inputs = Inputs(self.parameters, sink)
-        for done, row in enumerate(self._table.rows(), start=1):
-            before(row.stamp_ns, None)
-            if row.displacement is not None:
-                inputs.add_displacement("", row.stamp_ns, row.displacement)
-            if row.force is not None:
-                inputs.add_force("", row.stamp_ns, row.force)
-            yield done
-
-
-class ArraySource:
-    """Arrays of stamps [ns], force [N] and displacement [m], shape (n,), fed as rows are."""
-
-    frame = displacement_frame = ""
-    warnings = set_by_recording = ()
-
-    def __init__(
-        self, stamps: Any, forces: Array, displacements: Array, parameters: Parameters
-    ) -> None:
-        self.parameters = parameters
-        self.inputs = {name: f"array {name}" for name in _ALWAYS}
-        self._rows = stamps.tolist(), forces.tolist(), displacements.tolist()
-
-    @property
-    def total(self) -> int:
-        """Samples."""
-        return len(self._rows[0])
-
-    def feed(self, sink: Sink, before: Callable[[int, RawMessage | None], None]) -> Iterator[int]:
-        """Feed the samples in their order."""
-        inputs = Inputs(self.parameters, sink)
-        rows = zip(*self._rows, strict=True)
+    def feed(
+        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+    ) -> Iterator[int]:
+        """Feed the rows in their order."""
+        inputs = inputs_of(self.parameters, sink)
+        rows = zip(*(column.tolist() for column in self.columns), strict=True)
         for done, (stamp, force, displacement) in enumerate(rows, start=1):
             before(stamp, None)
-            inputs.add_displacement("", stamp, displacement)
-            inputs.add_force("", stamp, force)
+            if not math.isnan(displacement):
+                inputs.add_displacement("", stamp, displacement)
+            if not math.isnan(force):
+                inputs.add_force("", stamp, force)
             yield done
 
 
-Source: TypeAlias = BagSource | TableSource | ArraySource
+Source: TypeAlias = BagSource | RowSource

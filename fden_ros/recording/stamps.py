@@ -34,37 +34,25 @@ def carried_stamp(sample: Any) -> Any:
 def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
     """Return why header stamps cannot be used as they are, a line each.
 
-    Parameters
-    ----------
-    stamps : mapping
-        By topic pairs of header stamp and time of recording (ns), of its first messages.
+    `stamps` are by topic pairs of header stamp and time of recording (ns) of its first messages.
     """
     lines = []
     delays: dict[str, float] = {}
     for topic, pairs in stamps.items():
         headers, times = {header for header, _ in pairs}, {time for _, time in pairs}
         stamped = [pair for pair in pairs if pair[0]]
-        if headers == {0}:
-            lines.append(f"all header stamps of {topic} are 0, which is none: {_REMEDY}")
-        elif len(headers) == 1 and len(times) >= _STANDSTILL:
-            lines.append(f"all header stamps of {topic} are the same: {_REMEDY}")
-        elif len(times) >= _STANDSTILL and len(headers) <= _DIFFERENT * len(times):
-            lines.append(
-                f"only {len(headers)} of the first {len(times)} header stamps of {topic} differ: "
-                f"{_REMEDY}"
-            )
-        elif len(stamped) < len(pairs):
-            lines.append(
-                f"{len(pairs) - len(stamped)} of the first {len(pairs)} header stamps of {topic} "
-                f"are 0, which is none: {_REMEDY}"
-            )
-        if stamped and len(headers) > 1:
+        first = f"of the first {len(pairs)} header stamps of {topic}"
+        if zeros := len(pairs) - len(stamped):
+            lines.append(f"{zeros} {first} are 0, which is none: {_REMEDY}")
+        elif len(times) >= _STANDSTILL and len(headers) <= max(_DIFFERENT * len(times), 1):
+            lines.append(f"only {len(headers)} {first} differ: {_REMEDY}")
+        if len(headers) > 1:
             delays[topic] = 1e-9 * min(time - header for header, time in stamped)
     for topic, delay in delays.items():
-        first, least = min(delays.items(), key=lambda item: abs(item[1]))
+        other, least = min(delays.items(), key=lambda item: abs(item[1]))
         if abs(delay - least) > _SAME_CLOCK:
             lines.append(
                 f"header stamps of {topic} are {delay:.6g} s before its times of recording, those "
-                f"of {first} {least:.6g} s: of two clocks? Then {_REMEDY}"
+                f"of {other} {least:.6g} s: of two clocks? Then {_REMEDY}"
             )
     return lines

@@ -8,16 +8,16 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
-from fden_ros.recording.headings import Heading, candidates
+from fden_ros.recording.headings import candidates
 from fden_ros.recording.places import place
 from fden_ros.recording.text import Layout, is_number, layout_of
 
@@ -32,26 +32,12 @@ _EPOCH, _SLOWEST = (1e9, 4e9), 10.0
 _ALIKE, _LEAST_CHANGES = 0.8, 10
 
 
-class Row(NamedTuple):
-    """One row: a stamp (ns), a force [N] and a displacement [m]; None where it has none."""
-
-    stamp_ns: int
-    force: float | None
-    displacement: float | None
-
-
 @dataclass(frozen=True)
 class Column:
-    """A column by its heading or its number from 1.
-
-    Parameters
-    ----------
-    name : str
-    factor : float, optional
-        What its numbers are multiplied by; None: as the unit in its heading says.
-    """
+    """A column by its heading or its number from 1."""
 
     name: str
+    #: What its numbers are multiplied by; None: as the unit in its heading says.
     factor: float | None = None
 
     def __str__(self) -> str:
@@ -81,11 +67,6 @@ class Columns:
         """Return the columns of a text such as ``time_s,force_N,depth_mm*1e-3``.
 
         Time may be ``@500``: rows at 500 Hz. A heading with a comma stands in quotation marks.
-
-        Raises
-        ------
-        InputError
-            If `text` is not three columns.
         """
         parts = [part.strip() for part in next(csv.reader([text], skipinitialspace=True), [])]
         matches = [match for part in parts if (match := _COLUMN.fullmatch(part))]
@@ -102,82 +83,65 @@ class Columns:
             ) from None
 
 
-def stated_columns(path: str | Path) -> Columns:
+def stated_columns(layout: Layout) -> Columns:
     """Return the columns that a table's headings state with their units.
 
-    Raises
-    ------
-    InputError
-        If they do not say what is what, or in which unit, or several fit: the line has the
-        ``--columns`` to write.
+    Where they do not, the line that says so has the ``--columns`` to write.
     """
-    layout = layout_of(path)
-    headings = _headings(layout)
     if not layout.sample:
-        raise InputError(
-            f"{path} has no rows of numbers below {', '.join(layout.headings) or 'its first line'}"
-        )
-    found: dict[str, list[tuple[int, float | None]]] = {}
-    for quantity in _QUANTITIES:
-        has_clock = quantity == "time"
-
-        def is_usable(index: int, has_clock: bool = has_clock) -> bool:
-            return layout.holds_numbers(index) or (has_clock and layout.is_clock(index))
-
-        found[quantity] = candidates(headings, quantity, is_usable)
-    found["time"] = [
-        (index, _time_factor(layout, index, factor)) for index, factor in found["time"]
-    ]
+        below = layout.names or "its first line"
+        raise InputError(f"{layout.path} has no rows of numbers below {below}")
+    found = {quantity: _fitting(layout, quantity) for quantity in _QUANTITIES}
     several = [quantity for quantity, fitting in found.items() if len(fitting) > 1]
     missing = [q for q, fitting in found.items() if not fitting or fitting[0][1] is None]
     if not several and not missing:
-        return Columns(*(_column(headings, *fitting[0]) for fitting in found.values()))
-    example = f"such as --columns '{_example(layout, headings, found)}'"
+        return Columns(*(_column(layout, *fitting[0]) for fitting in found.values()))
+    shown = ",".join(_likely(layout, quantity, fitting) for quantity, fitting in found.items())
+    example = f"such as --columns '{shown}'"
     if several:
         listed = "; ".join(
-            f"the {quantity}: {', '.join(_name(headings, index) for index, _ in found[quantity])}"
+            f"the {quantity}: {', '.join(_name(layout, index) for index, _ in found[quantity])}"
             for quantity in several
         )
-        raise InputError(f"{path}: several columns could be {listed}; name them, {example}")
+        raise InputError(f"{layout.path}: several columns could be {listed}; name them, {example}")
     raise InputError(
-        f"{path} is a table whose headings do not say, with a unit, which column is the "
+        f"{layout.path} is a table whose headings do not say, with a unit, which column is the "
         f"{' and the '.join(missing)}: give time, force and displacement, {example}, each with a "
-        f"factor to s, N and m. It has {', '.join(layout.headings) or 'no headings'}"
-        f"{_without_numbers(layout, headings)}"
+        f"factor to s, N and m. It has {layout.names or 'no headings'}{_without_numbers(layout)}"
     )
 
 
-def _example(
-    layout: Layout,
-    headings: Sequence[Heading],
-    found: Mapping[str, list[tuple[int, float | None]]],
-) -> str:
-    """Return columns as they could be given."""
-    made = []
-    for quantity, fitting in found.items():
-        if not fitting:
-            made.append(_likely(layout, headings, quantity))
-        elif fitting[0][1] is None:
-            made.append(f"{_name(headings, fitting[0][0])}*FACTOR")
-        else:
-            made.append(str(_column(headings, *fitting[0])))
-    return ",".join(made)
+def _fitting(layout: Layout, quantity: str) -> list[tuple[int, float | None]]:
+    """Return the columns that can be a quantity, and their factors to SI where these are known."""
+
+    def is_usable(index: int) -> bool:
+        return layout.holds_numbers(index) or (quantity == "time" and layout.is_clock(index))
+
+    found = candidates(layout.headings, quantity, is_usable)
+    if quantity != "time":
+        return found
+    return [(index, _time_factor(layout, index)) for index, _ in found]
 
 
-def _likely(layout: Layout, headings: Sequence[Heading], quantity: str) -> str:
-    """Return a column for a quantity that no heading names: by its unit, or by its number."""
-    if quantity == "time" and headings:
+def _likely(layout: Layout, quantity: str, fitting: Sequence[tuple[int, float | None]]) -> str:
+    """Return a column as it could be given: by its heading, its unit, or a number."""
+    if fitting:
+        index, factor = fitting[0]
+        if factor is None:
+            return f"{_name(layout, index)}*FACTOR"
+        return str(_column(layout, index, factor))
+    if quantity == "time" and layout.names:
         return "@RATE"
-    for index, heading in enumerate(headings):
+    for index, heading in enumerate(layout.headings):
         if heading.factor(quantity) is not None and layout.holds_numbers(index):
-            return str(_column(headings, index, heading.factor(quantity)))
+            return str(_column(layout, index, heading.factor(quantity)))
     number = 1 + _QUANTITIES.index(quantity)
-    return f"{quantity.upper() if headings else number}*FACTOR"
+    return f"{quantity.upper() if layout.names else number}*FACTOR"
 
 
-def _without_numbers(layout: Layout, headings: Sequence[Heading]) -> str:
+def _without_numbers(layout: Layout) -> str:
     """Return that a column is named, but holds no numbers, with one of its cells."""
-    for index, heading in enumerate(headings):
+    for index, heading in enumerate(layout.headings):
         cells = [cell for cell in layout.cells(index) if not is_number(cell)]
         is_named = any(heading.names(quantity) for quantity in _QUANTITIES)
         if cells and is_named and not layout.is_clock(index) and not layout.holds_numbers(index):
@@ -185,24 +149,20 @@ def _without_numbers(layout: Layout, headings: Sequence[Heading]) -> str:
     return ""
 
 
-def _headings(layout: Layout) -> list[Heading]:
-    units = (*layout.units, *[""] * len(layout.headings))
-    return [Heading(*one) for one in zip(layout.headings, units, strict=False)]
-
-
-def _name(headings: Sequence[Heading], index: int) -> str:
+def _name(layout: Layout, index: int) -> str:
     """Return a heading, or the column's number where the heading is no name for `--columns`."""
-    text = headings[index].text
-    is_one = [heading.text for heading in headings].count(text) == 1
+    text = layout.headings[index].text
+    is_one = len(layout.places(text)) == 1
     return text if is_one and text and not set("*\"'") & set(text) else str(index + 1)
 
 
-def _column(headings: Sequence[Heading], index: int, factor: float | None) -> Column:
-    return Column(_name(headings, index), None if factor == 1.0 else factor)
+def _column(layout: Layout, index: int, factor: float | None) -> Column:
+    return Column(_name(layout, index), None if factor == 1.0 else factor)
 
 
-def _time_factor(layout: Layout, index: int, stated: float | None) -> float | None:
+def _time_factor(layout: Layout, index: int) -> float | None:
     """Return the factor to s of a column: of its unit, or of times since 1970 by their size."""
+    stated = layout.headings[index].factor("time")
     if stated is not None:
         return stated
     if layout.is_clock(index):
@@ -218,7 +178,7 @@ def _time_factor(layout: Layout, index: int, stated: float | None) -> float | No
             is_open = factor == 1.0 and bool(np.all(numbers == np.rint(numbers)))
             return None if is_open or factor * step > _SLOWEST else factor
     # PlotJuggler's time is in s.
-    return 1.0 if layout.headings[index : index + 1] == ("__time",) else None
+    return 1.0 if layout.headings[index].text == "__time" else None
 
 
 class TableReader:
@@ -228,7 +188,8 @@ class TableReader:
     ----------
     path : path
         As :func:`~fden_ros.recording.text.layout_of` finds it written.
-    columns : Columns
+    columns : Columns, optional
+        Those that the headings state when None.
     where : (str, str), optional
         Use only rows that hold this text in this column.
 
@@ -240,64 +201,50 @@ class TableReader:
         [N], [m], shape (n,); NaN where a row has none.
     warnings : tuple of str
         What is wrong with the rows, a line each.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a column is not there, or a row is no row of numbers.
     """
 
     def __init__(
-        self, path: str | Path, columns: Columns, where: tuple[str, str] | None = None
+        self,
+        path: str | Path,
+        columns: Columns | None = None,
+        where: tuple[str, str] | None = None,
     ) -> None:
         self.path = place(path)
-        self.layout = layout_of(self.path, columns.headings)
-        rate = self._rate_of(columns.time)
-        index = [self._index(column.name) for column in (columns.force, columns.displacement)]
-        lines = self.layout.lines
+        self.layout = layout_of(self.path, columns.headings if columns is not None else ())
+        self.columns = columns = columns or stated_columns(self.layout)
+        lines: Sequence[tuple[int, str]] = self.layout.lines
         if where is not None:
             kept = self._index(where[0])
             cells = ((line, self.layout.split(line[1])) for line in lines)
             lines = tuple(line for line, row in cells if row[kept : kept + 1] == [where[1]])
-        clock = None
-        if rate is None:
-            time = self._index(columns.time.name)
-            clock = time if self.layout.is_clock(time) else None
-            index += [time] if clock is None else []
-        values, kept_lines, left_out = self.layout.numbers(index, lines, clock)
+        index = [self._index(column.name) for column in (columns.force, columns.displacement)]
+        rate = _rate_of(columns.time)
+        time = None if rate is not None else self._index(columns.time.name)
+        clock = time if time is not None and self.layout.is_clock(time) else None
+        if time is not None and clock is None:
+            index.append(time)
+        values, lines, left_out = self.layout.numbers(index, lines, clock)
         self.force = self._factor("force", columns.force) * values[:, 0]
         self.displacement = self._factor("displacement", columns.displacement) * values[:, 1]
         if rate is not None:
             self.stamps = np.rint(np.arange(len(values)) * (_NS / rate)).astype(np.int64)
         elif clock is not None:
-            self.stamps = self.layout.times_of_day(clock, kept_lines)
+            self.stamps = self.layout.times_of_day(clock, lines)
         else:
-            self.stamps = self._numbered(columns.time, values[:, 2], kept_lines)
+            self.stamps = self._numbered(columns.time, values[:, 2], lines)
         if self.stamps.size and self.stamps[0] <= 0:
             # 0 stands for "no stamp" everywhere in ROS.
             self.stamps += _NS - self.stamps[0]
-        self._columns = columns
         self.warnings = (*self._commanded(), *([left_out] if left_out else []), *self._gaps())
-
-    def rows(self) -> Iterator[Row]:
-        """Yield the rows; one without a force and a displacement is left out."""
-        for stamp, *values in zip(
-            self.stamps.tolist(), self.force.tolist(), self.displacement.tolist(), strict=True
-        ):
-            force, way = (None if math.isnan(value) else value for value in values)
-            if force is not None or way is not None:
-                yield Row(stamp, force, way)
 
     def named(self, column: Column) -> str:
         """Return a column in words: with the heading of a number, the unit below it, its sign."""
         if column.name.startswith("@"):
             return f"{column.name[1:]} rows a second"
-        index = self._index(column.name)
+        heading = self.layout.headings[self._index(column.name)]
         words = [f"column {column.name}"]
-        words += [
-            f"({name})" for name in self.layout.headings[index : index + 1] if name != column.name
-        ]
-        words += [f"[{unit}]" for unit in self.layout.units[index : index + 1] if unit]
+        words += [f"({heading.text})"] if heading.text not in ("", column.name) else []
+        words += [f"[{heading.unit}]"] if heading.unit else []
         words += ["with its sign turned"] if column.factor and column.factor < 0 else []
         return " ".join(words)
 
@@ -323,19 +270,17 @@ class TableReader:
         if column.factor is not None:
             return column.factor
         index = self._index(column.name)
-        heading = next(iter(_headings(self.layout)[index : index + 1]), Heading(""))
         if quantity == "time":
-            return _time_factor(self.layout, index, heading.factor("time")) or 1.0
+            return _time_factor(self.layout, index) or 1.0
         # With geometry.kind pass_through the columns are stress and strain.
         kinds = (quantity, {"force": "stress", "displacement": "strain"}[quantity])
-        stated = (heading.factor(kind) for kind in kinds)
+        stated = (self.layout.headings[index].factor(kind) for kind in kinds)
         return next((factor for factor in stated if factor is not None), 1.0)
 
     def _commanded(self) -> Iterator[str]:
-        headings = _headings(self.layout)
-        for column in (self._columns.force, self._columns.displacement):
-            index = self._index(column.name)
-            if not column.name.isdigit() and not headings[index].rank:
+        for column in (self.columns.force, self.columns.displacement):
+            rank = self.layout.headings[self._index(column.name)].rank
+            if not column.name.isdigit() and not rank:
                 yield f"{self.named(column)} is commanded by its heading, not measured"
 
     def _gaps(self) -> Iterator[str]:
@@ -358,33 +303,31 @@ class TableReader:
                 f"them is used, at {rate:.3g} Hz"
             )
 
-    def _rate_of(self, time: Column) -> float | None:
-        if not time.name.startswith("@"):
-            return None
-        try:
-            rate = float(time.name[1:])
-        except ValueError:
-            rate = 0.0
-        if not 0.0 < rate < math.inf:
-            raise InputError(f"{time.name} is no rate: expected @ and rows per second, @500")
-        return rate
-
     def _index(self, name: str) -> int:
-        headings = self.layout.headings
-        places = [index for index, heading in enumerate(headings) if heading == name]
+        places, width = self.layout.places(name), len(self.layout.headings)
         if len(places) > 1:
             numbers = " and ".join(str(index + 1) for index in places)
             raise InputError(f"{self.path} has several columns {name}: give {numbers} by number")
         if places:
             return places[0]
-        width = self.layout.width
         if name.isdigit() and 1 <= int(name) <= width:
             return int(name) - 1
-        known = ", ".join(headings) if headings else "no headings"
         raise InputError(
-            f"{self.path} has no column {name}: it has {known}; give headings, or numbers from 1 "
-            f"to {width}"
+            f"{self.path} has no column {name}: it has {self.layout.names or 'no headings'}; give "
+            f"headings, or numbers from 1 to {width}"
         )
+
+
+def _rate_of(time: Column) -> float | None:
+    if not time.name.startswith("@"):
+        return None
+    try:
+        rate = float(time.name[1:])
+    except ValueError:
+        rate = 0.0
+    if not 0.0 < rate < math.inf:
+        raise InputError(f"{time.name} is no rate: expected @ and rows per second, @500")
+    return rate
 
 
 def _thin(values: Array) -> bool:

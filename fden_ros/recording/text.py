@@ -3,8 +3,8 @@
 
 """How a text table is written: encoding, delimiter, preamble, headings, units and decimal sign.
 
-numpy reads its numbers; what cannot be read is named with its line, and nothing is left out but
-blank lines, comments and what stands below the last row.
+What cannot be read is named with its line, and nothing is left out but blank lines, comments and
+what stands below the last row.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.recording.foreign import reason_of
+from fden_ros.recording.headings import BRACKETED, Heading, is_unit
 from fden_ros.recording.places import is_folder, is_remote, opened, place, reached
-from fden_ros.recording.units import BRACKETED, is_unit
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 _WORKBOOKS = (".xlsx", ".xls", ".ods")
@@ -56,40 +56,25 @@ Line = tuple[int, str]
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text table is written, and its lines.
-
-    Parameters
-    ----------
-    path : Path
-    delimiter : str
-        A blank stands for any number of them.
-    decimal : str
-        A point or a comma.
-    preamble : tuple of str
-        What stands before the headings, a line each.
-    headings : tuple of str
-        Those of the columns; empty where there are none.
-    units : tuple of str
-        Of a row of units below the headings; empty where there is none.
-    lines : tuple of (int, str)
-        The rows with their numbers from 1, without comments and blank lines.
-    sample : tuple of tuple of str
-        Cells of the first rows.
-    """
+    """How a text table is written, and its lines."""
 
     path: Path
-    delimiter: str
-    decimal: str
-    preamble: tuple[str, ...]
-    headings: tuple[str, ...]
-    units: tuple[str, ...]
-    lines: tuple[Line, ...]
-    sample: tuple[tuple[str, ...], ...]
+    delimiter: str  #: a blank stands for any number of them
+    decimal: str  #: a point or a comma
+    preamble: tuple[str, ...]  #: what stands before the headings, a line each
+    #: Of every column, with the unit of a row below; without text where it has none.
+    headings: tuple[Heading, ...]
+    lines: tuple[Line, ...]  #: the rows with their numbers from 1, no comments, no blank lines
+    sample: tuple[tuple[str, ...], ...]  #: cells of the first rows
 
     @property
-    def width(self) -> int:
-        """Columns."""
-        return max((len(self.headings), *map(len, self.sample)))
+    def names(self) -> str:
+        """The headings in one line; empty where there are none."""
+        return ", ".join(heading.text for heading in self.headings if heading.text)
+
+    def places(self, name: str) -> list[int]:
+        """Return the indices of the columns with that heading."""
+        return [index for index, heading in enumerate(self.headings) if heading.text == name]
 
     def cells(self, index: int) -> list[str]:
         """Return the cells of a column in the first rows, those without a value left out."""
@@ -119,7 +104,7 @@ class Layout:
             If it holds something else.
         """
         text = cell.strip()
-        if text.lower() in _NOTHING:
+        if not text[-1:].isdigit() and text.lower() in _NOTHING:
             return math.nan
         mark = "," if self.decimal == "." else "."
         if mark in text:
@@ -145,31 +130,21 @@ class Layout:
             Those that are read; all when None.
         clock : int, optional
             Column of dates or times of day, by whose cells the rows end too.
-
-        Raises
-        ------
-        InputError
-            If a line holds something else where a number is needed, and more rows follow.
         """
-        lines = self.lines if lines is None else lines
-        wanted = [*columns, *([] if clock is None else [clock])]
-        try:
-            return self._loaded(columns, lines), lines, ""
-        except ValueError:
-            lines, left_out = self._before_the_end(lines, wanted, clock)
-        try:
-            return self._loaded(columns, lines), lines, left_out
-        except ValueError as error:
-            raise InputError(f"{self.path} cannot be read: {error}") from None
+        lines, left_out = self.lines if lines is None else lines, ""
+        values: list[list[float]] = []
+        for _, line in lines:
+            row = self._row(self.split(line), columns, clock)
+            if row is None:
+                wanted = [*columns, *([] if clock is None else [clock])]
+                left_out = self._end(lines[len(values) :], wanted, clock)
+                break
+            values.append(row)
+        found = np.array(values, dtype=float).reshape(len(values), len(columns))
+        return found, lines[: len(values)], left_out
 
     def times_of_day(self, column: int, lines: Sequence[Line]) -> Any:
-        """Return ISO dates or times of day as ns, shape (n,): after midnight comes the next day.
-
-        Raises
-        ------
-        InputError
-            If a cell is neither.
-        """
+        """Return ISO dates or times of day as ns, shape (n,); after midnight is the next day."""
         found = []
         for number, line in lines:
             match = _CLOCK.fullmatch(self.split(line)[column])
@@ -185,62 +160,35 @@ class Layout:
         day = 86_400_000_000_000
         return stamps + day * np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -day // 2)
 
-    def _loaded(self, columns: Sequence[int], lines: Sequence[Line]) -> Array:
-        if not lines or not columns:
-            return np.zeros((len(lines), len(columns)))
-        loaded: Array = np.loadtxt(
-            [line for _, line in lines],
-            delimiter=None if self.delimiter == " " else self.delimiter,
-            usecols=columns,
-            converters=self.number,
-            comments=None,
-            quotechar='"',
-            encoding="utf-8",
-            ndmin=2,
-        )
-        if len(loaded) != len(lines):
-            raise ValueError("a cell in quotation marks goes on in the next line")
-        return loaded
-
-    def _before_the_end(
-        self, lines: Sequence[Line], wanted: Sequence[int], clock: int | None
-    ) -> tuple[Sequence[Line], str]:
-        """Return the lines before the end of the table, and what stands from there on."""
-        for index, (number, line) in enumerate(lines):
-            if self._is_row(line, wanted, clock):
-                continue
-            cells, rest = self.split(line), lines[index + 1 :]
-            is_text = not any(
-                self._is_row(line, [column], clock) for column in wanted if column < len(cells)
-            )
-            heads = (cells, *(self.split(below) for _, below in rest[:1]))
-            is_other = any(
-                states_units(row) and tuple(row) not in (self.headings, self.units)
-                for row in heads
-            )
-            goes_on = any(self._is_row(below, wanted, clock) for _, below in rest)
-            if not rest or (is_text and (is_other or not goes_on)):
-                shown = ", ".join(filter(None, cells))[:_SHOWN]
-                return lines[:index], (
-                    f"{self.path.name} ends at line {number} ({shown}): {len(rest) + 1} "
-                    f"{'lines' if rest else 'line'} from there on left out"
-                )
-            raise self._no_number(number, line, wanted)
-        return lines, ""
-
-    def _is_row(self, line: str, wanted: Collection[int], clock: int | None) -> bool:
-        """Return whether a line has a number, or says that it has none, in each column."""
-        cells = self.split(line)
+    def _row(
+        self, cells: Sequence[str], columns: Sequence[int], clock: int | None
+    ) -> list[float] | None:
+        """Return a number for each column; None where a cell holds something else."""
         try:
-            for column in wanted:
-                if column == clock:
-                    if not _CLOCK.fullmatch(cells[column]):
-                        return False
-                else:
-                    self.number(cells[column])
+            if clock is None or is_clock(cells[clock]):
+                return [self.number(cells[column]) for column in columns]
         except (ValueError, IndexError):
-            return False
-        return True
+            pass
+        return None
+
+    def _end(self, lines: Sequence[Line], wanted: Sequence[int], clock: int | None) -> str:
+        """Return what stands from the end of the table on, if its first line is no row."""
+        (number, line), *below = lines
+        cells = self.split(line)
+        named = [cells[column].lower() for column in wanted if column < len(cells)]
+        is_text = not any(is_number(c) or is_clock(c) or c in _NOTHING for c in named)
+        heads = (cells, *(self.split(text) for _, text in below[:1]))
+        own = [[one.text for one in self.headings], [one.unit for one in self.headings]]
+        is_other = any(states_units(row) and row not in own for row in heads)
+        columns = [column for column in wanted if column != clock]
+        goes_on = any(self._row(self.split(text), columns, clock) for _, text in below)
+        if below and not (is_text and (is_other or not goes_on)):
+            raise self._no_number(number, line, wanted)
+        shown = ", ".join(filter(None, cells))[:_SHOWN]
+        return (
+            f"{self.path.name} ends at line {number} ({shown}): {len(lines)} "
+            f"{'lines' if below else 'line'} from there on left out"
+        )
 
     def _no_number(self, number: int, line: str, wanted: Iterable[int]) -> InputError:
         return InputError(
@@ -251,23 +199,12 @@ class Layout:
 
 
 def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
-    """Return how a table is written.
-
-    Parameters
-    ----------
-    path : path
-    names : iterable of str
-        Headings that the table must have: their line is that of the headings.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is empty.
-    """
+    """Return how a table is written; a line with all `names` is that of the headings."""
     path = place(path)
     numbered = enumerate(re.split("\r\n|\r|\n", _text(path)), start=1)
-    every = [(number, line) for number, line in numbered if line.strip(_BLANK)]
-    lines = [(number, line) for number, line in every if not is_comment(line)]
+    lines = [(number, line) for number, line in numbered if line.strip(_BLANK)]
+    comments = [line.lstrip("# \t") for _, line in lines if line.lstrip().startswith("#")]
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
     if not lines:
         raise InputError(f"{path} is empty: expected a table of comma-separated values")
     for most in (_HEAD_LINES, _MOST_LINES):
@@ -277,30 +214,32 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
         if first < len(table):
             break
     heading = _heading(table, first, set(names))
-    units: tuple[str, ...] = ()
-    headings: tuple[str, ...] = ()
-    begin = first
+    headings, units, begin = [], [], first
     width = len(table[first]) if first < len(table) else 0
     if heading is not None:
-        headings = tuple(_headings_of(lines[heading][1], delimiter, width))
+        headings = _headings_of(lines[heading][1], delimiter, width)
         begin = heading + 1
         if begin < len(table) and _is_of_units(table[begin]):
-            units, begin = tuple(table[begin]), begin + 1
+            units, begin = table[begin], begin + 1
         _check_above(path, lines[heading], table[:heading], width, _RESULTS)
     elif first < len(table):
         _check_above(path, lines[first], table[:first], width, 0)
     sample = tuple(map(tuple, table[begin:]))
     top = lines[begin - 1][0] if begin else 0
-    comments = [line.lstrip("# \t") for number, line in every if is_comment(line)]
     preamble = [line for _, line in lines[: begin if heading is None else heading]]
-    _check_width(path, headings, sample)
+    most = max((sum(map(bool, row)) for row in sample), default=0)
+    if headings and most > len(headings):
+        raise InputError(
+            f"{path} has rows of {most} cells below {len(headings)} headings: name every column; "
+            "between decimal commas write semicolons"
+        )
+    columns = range(max((len(headings), *map(len, sample))))
     return Layout(
         path,
         delimiter,
         _decimal(path, sample, delimiter),
         (*comments, *preamble),
-        headings,
-        units,
+        tuple(Heading(*("".join(row[i : i + 1]) for row in (headings, units))) for i in columns),
         tuple(line for line in lines if line[0] > top),
         sample,
     )
@@ -314,21 +253,11 @@ def looks_like_a_table(path: str | Path) -> bool:
         return not is_folder(path)
     if suffix.lower() in BAG_SUFFIXES or is_folder(path):
         return False
-    return (is_remote(path) or path.is_file()) and _begins_as_text(path)
-
-
-def _begins_as_text(path: Path) -> bool:
     try:
-        head = _bytes(path, 4096)
-        text = _decoded(path, head)
+        text = _decoded(path, _bytes(path, 4096)) if is_remote(path) or path.is_file() else ""
     except InputError:
         return False
     return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
-
-
-def is_comment(line: str) -> bool:
-    """Return whether a line is a comment."""
-    return line.lstrip().startswith("#")
 
 
 def is_clock(cell: str) -> bool:
@@ -368,13 +297,7 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _decimal(path: Path, sample: Sequence[Sequence[str]], delimiter: str) -> str:
-    """Return the decimal sign that the numbers of the first rows prove.
-
-    Raises
-    ------
-    InputError
-        If all of them could have a decimal comma, or one of thousands.
-    """
+    """Return the decimal sign that the numbers of the first rows prove."""
     marked = [c for row in sample for c in row if is_number(c) and not c.isdigit()]
     marked = [cell for cell in marked if "." in cell or "," in cell]
     for cell in marked:
@@ -398,6 +321,8 @@ def _decimal(path: Path, sample: Sequence[Sequence[str]], delimiter: str) -> str
 def _split(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
     try:
         # A line by itself: in a preamble a quotation mark may stand for inches.
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
@@ -466,15 +391,6 @@ def _check_above(
         raise InputError(
             f"{path}: {count} rows of numbers stand above line {line[0]} "
             f"({line[1].strip()[:_SHOWN]!r}), apart from the others: remove what is between them"
-        )
-
-
-def _check_width(path: Path, headings: Sequence[str], sample: Iterable[Sequence[str]]) -> None:
-    most = max((sum(map(bool, row)) for row in sample), default=0)
-    if headings and most > len(headings):
-        raise InputError(
-            f"{path} has rows of {most} cells below {len(headings)} headings: name every column; "
-            "between decimal commas write semicolons"
         )
 
 

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
 
 from fden_ros.errors import InputError
+from fden_ros.inputs import TRANSFORMS, TYPE_NAMES
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.headings import COMMANDED
-from fden_ros.recording.reader import topic_named
-from fden_ros.ros.inputs import TRANSFORMS, TYPE_NAMES
+from fden_ros.recording.reader import BagReader
 
 # Words in a topic's name: what it most likely carries.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
@@ -20,8 +20,6 @@ WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
 }
-
-
 #: The package of an identifier's outputs: nothing measured is in them.
 RESULTS = "fden_msgs/"
 
@@ -31,7 +29,7 @@ class NoTopicError(InputError):
 
 
 def find_topic(
-    where: str, present: Sequence[Topic], name: str | None, stream: str, others: Collection[Topic]
+    reader: BagReader, name: str | None, stream: str, others: Collection[Topic]
 ) -> Topic:
     """Return the topic called `name`, or the only sensible one for `stream`.
 
@@ -42,23 +40,16 @@ def find_topic(
 
     Parameters
     ----------
-    where : str
-        What has the topics, for the line that says what is wrong.
-    present : sequence of Topic
+    reader : BagReader
     name : str or None
     stream : str
         ``force`` or ``displacement``.
     others : collection of Topic
         The topics of the other quantities, which are no candidates.
-
-    Raises
-    ------
-    InputError
-        If there is none, several, or one of a type that cannot be read; the line lists them.
     """
     usable = TYPE_NAMES[stream].values()
     if name is not None:
-        topic = topic_with_messages(where, present, name)
+        topic = topic_with_messages(reader, name)
         if topic.type_name not in usable:
             raise NoTopicError(
                 f"{name} carries {topic.type_name}, which holds no {stream} by itself: name the "
@@ -66,47 +57,46 @@ def find_topic(
             )
         return topic
     candidates = [
-        t for t in present if t.type_name in usable and t.message_count and t not in others
+        t for t in reader.topics if t.type_name in usable and t.message_count and t not in others
     ]
     chosen = _sensible(candidates, stream)
     if len(chosen) == 1:
         return chosen[0]
-    listed = ", ".join(map(_described, chosen or present)) or "none"
-    problem = "several topics could carry" if chosen else "no topic can carry"
-    hint = f"name it with --{stream}-topic"
-    if not chosen:
-        hint += f", and the number in it with --{stream}-field"
-    if stream == "displacement" and not chosen and any(t.type_name == TRANSFORMS for t in present):
-        hint = "where the probe's motion is in /tf, `fden configure` finds the frames"
-    if not chosen and any(t.type_name.startswith(RESULTS) for t in present):
+    if chosen:
+        raise InputError(
+            f"{reader.path}: several topics could carry the {stream}: {_listed(chosen)}; name it "
+            f"with --{stream}-topic"
+        )
+    types = {topic.type_name for topic in reader.topics}
+    hint = f"name it with --{stream}-topic, and the number in it with --{stream}-field"
+    if stream == "displacement" and TRANSFORMS in types:
+        hint = "to follow /tf, set frames.base, frames.probe and displacement.message: tf"
+    if any(name.startswith(RESULTS) for name in types):
         hint = f"fden_msgs are what an identifier makes of a recording: replay that, or {hint}"
-    kind = InputError if chosen else NoTopicError
-    raise kind(f"{where}: {problem} the {stream}: {listed}; {hint}")
+    listed = _listed(reader.topics)
+    raise NoTopicError(f"{reader.path}: no topic can carry the {stream}: {listed}; {hint}")
 
 
-def topic_with_messages(where: str, present: Sequence[Topic], name: str) -> Topic:
-    """Return the topic called `name`.
-
-    Raises
-    ------
-    InputError
-        If there is none, or nothing was recorded on it; the line says `where`.
-    """
-    topic = topic_named(where, present, name)
+def topic_with_messages(reader: BagReader, name: str) -> Topic:
+    """Return the topic called `name`, on which something was recorded."""
+    topic = reader.topic(name)
     if not topic.message_count:
         raise InputError(
-            f"{where}: topic {topic.name} has no messages: choose another, or record it anew"
+            f"{reader.path}: topic {topic.name} has no messages: choose another, or record it anew"
         )
     return topic
+
+
+def _listed(topics: Iterable[Topic]) -> str:
+    return ", ".join(
+        f"{one.name} ({one.type_name}{'' if one.message_count else ', no messages'})"
+        for one in topics
+    )
 
 
 def is_commanded(topic: Topic) -> bool:
     """Return whether a topic carries what is wanted, not measured, by its name."""
     return bool(_words(topic) & COMMANDED)
-
-
-def _described(topic: Topic) -> str:
-    return f"{topic.name} ({topic.type_name}{'' if topic.message_count else ', no messages'})"
 
 
 def _sensible(candidates: list[Topic], stream: str) -> list[Topic]:

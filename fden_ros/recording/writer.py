@@ -25,23 +25,11 @@ _METADATA_FILE = "metadata.yaml"
 
 
 class BagWriter:
-    """Write a bag; nothing is seen of it before it is complete.
+    """Write a bag into a folder; nothing is seen of it before it is complete.
 
     The bag grows in a hidden folder next to the target, which takes its name when the ``with``
     block ends. An exception inside the block leaves nothing behind. The same messages give the
-    same bytes.
-
-    Parameters
-    ----------
-    folder
-        The bag folder to make; its parent is made too.
-    overwrite
-        Replace a bag that is there already. Only a bag is ever replaced, or an empty folder.
-
-    Raises
-    ------
-    InputError
-        When the target exists (and is not to be, or must not be, replaced) or cannot be written.
+    same bytes. With `overwrite` a bag that is there is replaced, and nothing but a bag.
     """
 
     def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -59,7 +47,8 @@ class BagWriter:
         self._check_target()
         with self._one_line():
             self.target.parent.mkdir(parents=True, exist_ok=True)
-            self._hidden = self._hidden_folder()
+            made = tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent)
+            self._hidden = Path(made)
             self._writer = Writer(
                 self._hidden / self.target.name, version=9, storage_plugin=StoragePlugin.MCAP
             )
@@ -85,22 +74,7 @@ class BagWriter:
             shutil.rmtree(self._hidden, ignore_errors=True)
 
     def add_topic(self, topic: str, type_name: str, *offered_qos: Qos) -> None:
-        """Declare a topic before its first message.
-
-        Parameters
-        ----------
-        topic
-            Full name, such as ``/force``.
-        type_name
-            Message type, such as ``geometry_msgs/msg/WrenchStamped``.
-        *offered_qos
-            What the publishers offer; `RELIABLE` when nothing is given.
-
-        Raises
-        ------
-        InputError
-            When the type is not known, or the topic is there already.
-        """
+        """Declare a topic before its first message, and what its publishers offer (`RELIABLE`)."""
         type_name = full_type_name(type_name)
         if topic in self._topics:
             raise InputError(f"topic {topic} is in the bag already: declare it once")
@@ -112,30 +86,12 @@ class BagWriter:
         )
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
-        """Write one message.
-
-        Parameters
-        ----------
-        topic
-            A topic declared with `add_topic`.
-        message
-            The message, or its CDR bytes.
-        stamp_ns
-            Time of recording (ns since the epoch), by which bags are ordered.
-
-        Raises
-        ------
-        InputError
-            When the topic is not declared or the disk is full.
-        """
+        """Write a message, or its CDR bytes, at its time of recording (ns since the epoch)."""
         if topic not in self._topics:
             raise InputError(f"topic {topic} is not in the bag: declare it with add_topic first")
         data = message if isinstance(message, bytes) else serialize(message)
         with self._one_line():
             self._writer.write(self._topics[topic], stamp_ns, data)
-
-    def _hidden_folder(self) -> Path:
-        return Path(tempfile.mkdtemp(prefix=f".{self.target.name}.", dir=self.target.parent))
 
     def _check_target(self) -> None:
         if not os.path.lexists(self.target):

@@ -19,17 +19,14 @@ from fden_ros.control import Cause, Refusal
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
 from fden_ros.offline.advice import against_the_law
-from fden_ros.offline.known import knows_stiffness_alone
-from fden_ros.report.numbers import DASH, law, stiffness
+from fden_ros.offline.known import known_alone
+from fden_ros.report.numbers import DASH, law, slope_words, stiffness
 from fden_ros.report.table import contact_table
 from fden_ros.written import written
 
 _COLOURS = {
-    Status.NO_CONTACT: "cyan",
-    Status.CONVERGING: "yellow",
-    Status.CONVERGED: "green",
-    Status.STALE: "red",
-}
+    Status.NO_CONTACT: "cyan", Status.CONVERGING: "yellow", Status.CONVERGED: "green",
+}  # fmt: skip
 _LAST_CONTACTS = 6
 #: Half width of the intervals, in standard deviations.
 _DEVIATIONS = 2.0
@@ -54,18 +51,18 @@ class MonitorView:
 def monitor_view(view: MonitorView) -> Group:
     """Return the view as something that rich prints."""
     parts: list[Panel | Table | Text] = [
-        Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False),
-        *_warnings(view),
+        Panel(_present(view), title=view.identifier, box=box.ROUNDED, expand=False)
     ]
+    if view.diagnostics.get("message", "identifying") not in ("", "identifying"):
+        parts.append(Text(f"warning: {view.diagnostics['message']}", style="yellow"))
     if view.summaries:
         shown = view.summaries[-_LAST_CONTACTS:]
-        alone = {s.contact_id for s in shown if knows_stiffness_alone(s)}
-        parts.append(contact_table(shown, alone))
-        parts += [
-            Text(f"contact {s.contact_id}: N/m known; G and Gn not: {against_the_law(s)}")
-            for s in shown[-1:]
-            if s.contact_id in alone
-        ]
+        known = {s.contact_id: words for s in shown if (words := known_alone(s))}
+        parts.append(contact_table(shown, known))
+        last = shown[-1].contact_id
+        if last in known:
+            words = f"contact {last}: {known[last]} known; G and Gn not"
+            parts.append(Text(f"{words}: {against_the_law(shown[-1])}"))
     return Group(*parts)
 
 
@@ -99,21 +96,22 @@ def _present(view: MonitorView) -> Table:
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
-    state = view.state
+    state, said = view.state, view.diagnostics
     table.add_row("status", _status(view))
-    table.add_row("rates", _rates(view))
-    if state is None:
-        table.add_row("next", next_step(view))
-        return table
-    table.add_row("contact", _contact(state))
-    for name, interval in _parameters(state):
-        table.add_row(name, interval)
-    table.add_row("law", law(state.estimate) or DASH)
-    table.add_row("tissue", _tissue(view))
-    words = "may be relied on" if view.refusal is None else str(view.refusal)
-    table.add_row("controllers", Text(words, style="yellow" if view.refusal else "green"))
-    if view.gains:
-        table.add_row("gains", view.gains)
+    names = ("pairs per second", "lag", "rejected", "contacts", "sites")
+    rates = [f"{name} {said[name]}" for name in names if name in said]
+    table.add_row("rates", ", ".join([f"estimates {view.rate:.0f} Hz", *rates]))
+    if state is not None:
+        table.add_row("contact", _contact(state))
+        for name, interval in _parameters(state):
+            table.add_row(name, interval)
+        table.add_row("law", law(state.estimate) or DASH)
+        listed = ", ".join(f"{name} {value:.0%}" for name, value in view.probabilities.items())
+        table.add_row("tissue", f"{view.label}   ({listed})" if view.label else "undetermined")
+        words = "may be relied on" if view.refusal is None else str(view.refusal)
+        table.add_row("controllers", Text(words, style="yellow" if view.refusal else "green"))
+        if view.gains:
+            table.add_row("gains", view.gains)
     table.add_row("next", next_step(view))
     return table
 
@@ -131,16 +129,6 @@ def _status(view: MonitorView) -> Text:
     return Text(words, style=_COLOURS.get(status, "red"))
 
 
-def _rates(view: MonitorView) -> str:
-    parts = [f"estimates {view.rate:.0f} Hz"]
-    parts += [
-        f"{name} {view.diagnostics[name]}"
-        for name in ("pairs per second", "lag", "rejected", "contacts", "sites")
-        if name in view.diagnostics
-    ]
-    return ", ".join(parts)
-
-
 def _contact(state: TissueState) -> str:
     parts = [f"{state.contact_id} at site {state.site_id}", state.phase.name.lower()]
     if state.signals is not None:
@@ -148,30 +136,26 @@ def _contact(state: TissueState) -> str:
     found = state.apparent_stiffness
     if found is not None:
         parts.append(f"{stiffness(found, 3)} N/m at {found.time_scale:g} s")
-    measured = state.measured.loading
-    if measured is not None:
-        parts.append(f"measured {stiffness(measured, 3)} N/m")
+    if state.measured.loading is not None:
+        parts.append(f"slope {slope_words(state.measured.loading)}")
     return ", ".join(parts)
 
 
 def _parameters(state: TissueState) -> list[tuple[str, str]]:
+    """Return the names of G, Gn and alpha, and each with its interval and how far it is known."""
     estimate = state.estimate
     if estimate is None:
         return [("G", DASH), ("Gn", DASH), ("α", DASH)]
-    deviations = estimate.deviations
-    rows = []
-    for name, index, unit in (("G", 0, "Pa s^α"), ("Gn", 1, "")):
+    deviations, rows = estimate.deviations, []
+    for name, index, unit in (("G", 0, " Pa s^α"), ("Gn", 1, "")):
         value, spread = math.exp(estimate.mean[index]), math.exp(_DEVIATIONS * deviations[index])
-        interval = (
-            f"{written(value, 4)}   [{written(value / spread, 4)}, {written(value * spread, 4)}]"
-        )
-        rows.append((name, f"{interval} {unit}".rstrip() + f"   {_how_known(estimate, index)}"))
+        shown, low, high = (written(x, 4) for x in (value, value / spread, value * spread))
+        rows.append((name, f"{shown}   [{low}, {high}]{unit}   {_how_known(estimate, index)}"))
     order, half = estimate.fractional_order, _DEVIATIONS * deviations[2]
-    words = [_how_known(estimate, 2)]
+    words = _how_known(estimate, 2)
     if state.order_source in (OrderSource.GIVEN, OrderSource.LEARNED):
-        words.append(state.order_source.name.lower())
-    interval = f"{order:.3f}   [{order - half:.3f}, {order + half:.3f}]"
-    rows.append(("α", f"{interval}   {', '.join(words)}"))
+        words += f", {state.order_source.name.lower()}"
+    rows.append(("α", f"{order:.3f}   [{order - half:.3f}, {order + half:.3f}]   {words}"))
     return rows
 
 
@@ -182,17 +166,3 @@ def _how_known(estimate: Estimate, index: int) -> str:
     if estimate.knows(index):
         return "converged"
     return "converging" if estimate.determines(index) else "not determined"
-
-
-def _tissue(view: MonitorView) -> str:
-    if not view.label:
-        return "undetermined"
-    listed = ", ".join(f"{name} {value:.0%}" for name, value in view.probabilities.items())
-    return f"{view.label}   ({listed})"
-
-
-def _warnings(view: MonitorView) -> list[Text]:
-    words = view.diagnostics.get("message", "")
-    if not words or words == "identifying":
-        return []
-    return [Text(f"warning: {words}", style="yellow")]

@@ -9,7 +9,7 @@ import math
 
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ApparentStiffness
-from fden_ros.core.stiffness import MeasuredSlope, Slopes
+from fden_ros.core.stiffness import MeasuredSlope
 from fden_ros.written import written
 
 DASH = "–"
@@ -45,20 +45,10 @@ def _rounded(value: float, places: int) -> str:
 def result(
     value: float, deviation: float, most_digits: int = 17, *, is_of_data: bool = True
 ) -> str:
-    """Return a positive number as a result, as far as it is one.
+    """Return a positive number, with its deviation to first order, as far as it is a result.
 
     In brackets what the data did not determine. What is no larger than its own standard deviation
-    is stated by its upper bound at 95 %: its logarithm is normal, with the deviation
-    `deviation` / `value`.
-
-    Parameters
-    ----------
-    value, deviation : float
-        Median, and standard deviation to first order.
-    most_digits : int
-        Significant digits of the value at most.
-    is_of_data : bool
-        Whether the data determine it, not the prior.
+    is stated by its upper bound at 95 %: its logarithm is normal, with `deviation` / `value`.
     """
     if not is_of_data:
         return f"({plus_minus(value, deviation, most_digits)})"
@@ -88,6 +78,11 @@ def stiffness(found: ApparentStiffness | MeasuredSlope | None, most_digits: int 
     return DASH if found is None else result(found.value, found.sd, most_digits)
 
 
+def bracketed(text: str) -> str:
+    """Return a number as one that the data did not determine."""
+    return text if text == DASH or text.startswith("(") else f"({text})"
+
+
 def slope(found: MeasuredSlope | None) -> str:
     """Return a measured slope [N/m] and its depth [mm], to the first digit of its deviation."""
     if found is None:
@@ -96,33 +91,27 @@ def slope(found: MeasuredSlope | None) -> str:
     return written(found.value, max(1, min(digits, 4))) + _at(found, "")
 
 
+def slope_words(found: MeasuredSlope | None) -> str:
+    """Return a measured slope with its deviation, unit and depth; a dash where there is none."""
+    return DASH if found is None else f"{stiffness(found, 4)} N/m{_at(found, ' mm')}"
+
+
 def _at(found: MeasuredSlope, unit: str) -> str:
     """Return the depth of a slope in words; empty where it is not known."""
     return "" if math.isnan(found.depth) else f" at {written(1e3 * found.depth, 2)}{unit}"
 
 
-def measured_words(measured: Slopes) -> str:
-    """Return the measured slopes in words; empty where there is none."""
-    words = (
-        f"{stiffness(found, 4)} N/m {way}{_at(found, ' mm')}"
-        for way, found in zip(("loading", "unloading"), measured, strict=True)
-        if found is not None
-    )
-    return ", ".join(words)
-
-
 def law(estimate: Estimate | None) -> str:
     """Return how far the tissue is from the law; empty where that is not known."""
-    if estimate is None or estimate.law_error is None:
+    error = estimate.law_error if estimate is not None else None
+    if estimate is None or error is None:
         return ""
-    error = estimate.law_error
     text = (
         f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
         f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
-    if math.isnan(estimate.plateau_probability):
-        return text
-    return f"{text}; a plateau has a probability of {estimate.plateau_probability:.2f}"
+    plateau = estimate.plateau_probability
+    return text if math.isnan(plateau) else f"{text}; a plateau has a probability of {plateau:.2f}"
 
 
 def _rounded_up(value: float) -> str:

@@ -10,57 +10,60 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.law import Geometry, StressMoments, elastic_response, memory_weights
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.streams import NANOSECONDS
-from fden_ros.offline.session import Contact, Session, predicted_stress
-from fden_ros.offline.signals import Envelope
-from fden_ros.parameters import unit_vector
+from fden_ros.offline.session import Contact, Session
 from fden_ros.report import style
-from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, TRUTH, WIDE, draw
+from fden_ros.report.style import ESTIMATE, MEASURED, MUTED, SHADE, TRUTH, draw
 from fden_ros.written import written
 
 #: Makes the logarithm of 0 finite.
 _TINY = 1e-300
-_PARAMETERS = (("linear_stiffness", style.G_LABEL), ("nonlinear_stiffness", style.GN_LABEL))
+_PARAMETERS = (("linear_stiffness", "G [Pa s^α]"), ("nonlinear_stiffness", "Gn"))
 
 
 # Across the session
 
 
 def overview(session: Session) -> str:
-    """Force and displacement over the whole recording, contacts shaded."""
+    """Force and displacement over the whole recording, contacts shaded and numbered."""
+    time, ends = session.trace.arrays()
+    summaries = session.replay.summaries
 
     def plot(figure: Figure) -> None:
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        _envelope(upper, session.force, session.start_ns, 1.0)
-        _envelope(lower, session.displacement, session.start_ns, 1e3)
-        spans = [
-            (_seconds(s.start_ns, session), _seconds(s.end_ns, session))
-            for s in session.replay.summaries
-        ]
-        for axes in (upper, lower):
-            style.shade(axes, spans)
-        for summary, span in zip(session.replay.summaries[:40], spans, strict=False):
-            upper.annotate(
-                str(summary.contact_id),
-                (sum(span) / 2.0, 1.0),
-                xycoords=("data", "axes fraction"),
-                ha="center",
-                va="bottom",
-                fontsize=8,
-                color=MUTED,
-            )
-        upper.set_ylabel("force [N]")
-        lower.set_ylabel("displacement [mm]")
-        lower.set_xlabel("time [s]")
+        panels = figure.subplots(2, 1, sharex=True)
+        named = ("force [N]", 1.0), ("displacement [mm]", 1e3)
+        for number, (axes, (name, scale)) in enumerate(zip(panels, named, strict=True)):
+            # As a line up and down: where there is one value only, a band has no width.
+            values = scale * ends[:, 2 * number : 2 * number + 2].ravel()
+            axes.plot(np.repeat(time, 2), values, color=MEASURED, linewidth=0.9)
+            axes.set_ylabel(name)
+            for one in summaries:
+                span = session.seconds(one.start_ns), session.seconds(one.end_ns)
+                axes.axvspan(*span, color=SHADE, zorder=0, linewidth=0)
+        middles = [session.seconds((one.start_ns + one.end_ns) // 2) for one in summaries]
+        for k in _apart([(x, 0.0) for x in middles], 0.05 * np.ptp(time), 1.0):
+            panels[0].annotate(str(summaries[k].contact_id), (middles[k], 1.0), ha="center",
+                               va="bottom", xycoords=("data", "axes fraction"), fontsize=8,
+                               color=MUTED)  # fmt: skip
+        panels[1].set_xlabel("time [s]")
         figure.align_ylabels()
 
-    return draw(plot, WIDE)
+    return draw(plot)
+
+
+def _apart(places: Sequence[tuple[float, float]], width: float, height: float) -> list[int]:
+    """Return which of some places can have labels of a size that do not overprint."""
+    kept: list[int] = []
+    for k, (x, y) in enumerate(places):
+        others = (places[other] for other in kept)
+        if all(abs(x - at[0]) > width or abs(y - at[1]) > height for at in others):
+            kept.append(k)
+    return kept
 
 
 def comparison(session: Session) -> str:
@@ -68,95 +71,92 @@ def comparison(session: Session) -> str:
     known = [s for s in session.replay.summaries if s.estimate is not None]
 
     def plot(figure: Figure) -> None:
-        for index, axes in enumerate(figure.subplots(1, 2)):
-            key, label = _PARAMETERS[index]
-            for converged, colour, name in (
-                (True, ESTIMATE, "converged, ±2 sd"),
-                (False, MUTED, "not converged, ±2 sd"),
-            ):
+        for index, axes in enumerate(figure.subplots(2, 1, sharex=True)):
+            key, title = _PARAMETERS[index]
+            for converged, colour, name in ((True, ESTIMATE, ""), (False, MUTED, "not ")):
                 chosen = [s for s in known if s.estimate and s.estimate.knows(index) is converged]
                 if chosen:
-                    numbers = [s.contact_id for s in chosen]
+                    numbers, label = [s.contact_id for s in chosen], f"{name}converged, ±2 sd"
                     values = style.interval([s.estimate for s in chosen], index)
-                    style.intervals(axes, numbers, *values, colour, name)
-            true = [
-                (s.contact_id, session.truth[s.site_id][key])
-                for s in known
-                if s.site_id in session.truth
-            ]
+                    style.intervals(axes, numbers, values, "o", color=colour, label=label)
+            true = [(s.contact_id, session.truth[s.site_id][key])
+                    for s in known if s.site_id in session.truth]  # fmt: skip
             truth = np.array(true).reshape(-1, 2).T
             if true:
                 axes.plot(*truth, "_", color=TRUTH, markersize=14, label="truth")
-            axes.set_xlabel("contact")
-            axes.set_title(label, loc="left")
-            axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
+            shown = style.interval([s.estimate for s in known], index)
+            style.limit_by_intervals(axes, *(np.append(part, truth[1]) for part in shown))
+            axes.set_title(title)
+            style.write_ticks(axes)
             axes.locator_params(axis="x", integer=True)
             axes.margins(x=0.08)
-            shown = style.interval([s.estimate for s in known], index)
-            axes.set_ylim(*style.interval_limits(*(np.append(part, truth[1]) for part in shown)))
             axes.grid(axis="x", visible=False)
+        axes.set_xlabel("contact")
         style.legend_above(figure.axes[0])
 
-    return draw(plot, WIDE)
+    return draw(plot)
 
 
 def site_map(session: Session) -> str:
-    """Where it was pressed, seen along the approach, with G as colour and number."""
-    placed = [s for s in session.replay.summaries if s.position is not None]
-    first, second = _lateral_axes(session.parameters.displacement.axis)
+    """Where it was pressed, seen along the approach: a dot, N/m and its colour for each site."""
+    sites = list({s.site_id: s for s in session.replay.summaries if s.position}.values())
+    # The axes of the frame that are least along the approach.
+    axis = np.abs(session.parameters.displacement.axis)
+    first, second = sorted(np.argsort(axis, kind="stable")[:2])
+    positions = 1e3 * np.array([s.position for s in sites])
+    x, y = positions[:, first], positions[:, second]
+    values = np.array([getattr(s.apparent_stiffness, "value", math.nan) for s in sites])
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        places = 1e3 * np.array([s.position for s in placed])
-        x, y = places @ first, places @ second
-        values = np.array(
-            [s.estimate.linear_stiffness if s.estimate is not None else math.nan for s in placed]
-        )
-        axes.scatter(x, y, s=260, c="none", edgecolors=MUTED)
-        if np.isfinite(values).any():
-            low, high = style.interval_limits(values, values, values)
-            axes.scatter(
-                x, y, s=260, c=values, cmap="viridis", edgecolors=MUTED, vmin=low, vmax=high
-            )
-        for across, along, value, summary in zip(x, y, values, placed, strict=True):
-            text = (
-                f"{summary.contact_id}: {written(value, 4)}"
-                if math.isfinite(value)
-                else "no estimate"
-            )
-            axes.annotate(
-                text, (across, along), xytext=(0, 12), textcoords="offset points", ha="center"
-            )
-        frame = placed[0].position_frame
-        where = f" in {frame}" if frame else ""
-        axes.set_title(f"Where it was pressed{where} (contact: G in Pa s^α)")
-        axes.set_xlabel(f"{_axis_name(first)} [mm]")
-        axes.set_ylabel(f"{_axis_name(second)} [mm]")
         # Room for the labels, also where all places are one.
         room = 0.15 * max(np.ptp(x), np.ptp(y)) + 2.0
         axes.set_xlim(x.min() - room, x.max() + room)
         axes.set_ylim(y.min() - room, y.max() + 1.5 * room)
         axes.set_aspect("equal")
+        axes.scatter(x, y, s=120, c="none", edgecolors=MUTED)
+        is_known = np.isfinite(values)
+        dots = axes.scatter(x[is_known], y[is_known], s=120, c=values[is_known], cmap="viridis")
+        if len(set(values[is_known])) > 1:
+            figure.colorbar(dots, label="N/m")
+        for k in _apart(list(zip(x, y, strict=True)), 0.4 * room + np.ptp(x) / 6, 0.5 * room):
+            size = f"{written(values[k], 3)} N/m" if is_known[k] else "not known"
+            axes.annotate(f"{sites[k].site_id}: {size}", (x[k], y[k]), xytext=(0, 9),
+                          textcoords="offset points", ha="center")  # fmt: skip
+        frame = sites[0].position_frame
+        axes.set_title(f"Sites and their stiffness{f' in {frame}' if frame else ''}")
+        axes.set_xlabel(f"{'xyz'[first]} [mm]")
+        axes.set_ylabel(f"{'xyz'[second]} [mm]")
 
-    return draw(plot, (10.8, 4.2))
+    return draw(plot)
 
 
-def _lateral_axes(approach: Sequence[float]) -> tuple[Array, Array]:
-    axis = np.array(unit_vector(approach))
-    # The axes of the frame that are least along the approach, made perpendicular to it.
-    order = np.argsort(np.abs(axis), kind="stable")
-    first = np.eye(3)[min(order[0], order[1])]
-    first = first - (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    if second[int(np.argmax(np.abs(second)))] < 0.0:
-        second = -second
-    return first, second
+def path(summaries: Sequence[ContactSummary]) -> str:
+    """N/m and alpha of the places of a continuous contact, over the way, or without it time."""
+    places = [one for one in summaries if one.is_of_path]
+    at, label = [(one.end_ns - places[0].start_ns) / NANOSECONDS for one in places], "time [s]"
+    if all(one.position is not None for one in places):
+        steps = np.diff(np.array([one.position for one in places]), axis=0)
+        way = np.cumsum(np.linalg.norm(steps, axis=1))
+        at, label = [0.0, *(1e3 * way).tolist()], "along the path [mm]"
+    found = {
+        "N/m": [(s.value, s.sd) if (s := one.apparent_stiffness) else None for one in places],
+        "α": [
+            (e.fractional_order, e.fractional_order_sd) if (e := one.estimate) else None
+            for one in places
+        ],
+    }
 
+    def plot(figure: Figure) -> None:
+        panels = figure.subplots(2, 1, sharex=True)
+        for axes, (title, values) in zip(panels, found.items(), strict=True):
+            known = [(x, *one) for x, one in zip(at, values, strict=True) if one is not None]
+            x, value, sd = np.array(known, dtype=float).reshape(-1, 3).T
+            style.intervals(axes, x, (value, value - 2.0 * sd, value + 2.0 * sd), "o-")
+            axes.set_title(f"{title}, ±2 sd")
+        axes.set_xlabel(label)
 
-def _axis_name(axis: Array) -> str:
-    index = int(np.argmax(np.abs(axis)))
-    return "xyz"[index] if abs(axis[index]) > 0.999 else f"near {'xyz'[index]}"
+    return draw(plot)
 
 
 # One contact
@@ -164,31 +164,29 @@ def _axis_name(axis: Array) -> str:
 
 def signals(session: Session, contact: Contact) -> str:
     """Depth and force of a contact, and the force that was predicted."""
-    geometry = session.geometry
-    states = [state for state in contact.states.items if state.signals is not None]
-    time, predicted = predicted_stress(contact)
-    depth = np.array(
-        [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
-    )
-    force = np.array([s.signals.stress / geometry.stress_per_force for s in states])
+    geometry = session.config.geometry
+    states = [state for state in contact.states if state.signals is not None]
+    seconds, per_force = _since_touch(states), geometry.stress_per_force
+    depth = [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
+    force = np.array([s.signals.stress / per_force for s in states])
+    predicted = [
+        math.nan if s.innovation is None else s.innovation.predicted_stress / per_force
+        for s in states
+    ]
 
     def plot(figure: Figure) -> None:
-        lower, upper = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
-        seconds = _since(states, states[0].stamp_ns)
-        lower.plot(seconds, depth, color=MEASURED)
-        lower.set_ylabel("depth [mm]")
-        lower.set_title("Depth and force")
-        upper.plot(seconds, force, color=MEASURED, label="measured")
-        if time.size:
-            first = next(s for s in states if s.innovation is not None)
-            shifted = time + _since([first], states[0].stamp_ns)
-            modelled = predicted / geometry.stress_per_force
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
+        upper.plot(seconds, depth, color=MEASURED)
+        upper.set_ylabel("depth [mm]")
+        upper.set_title("Depth and force")
+        lower.plot(seconds, force, color=MEASURED, label="measured")
+        if np.isfinite(predicted).any():
             label = "predicted, one step ahead"
-            upper.plot(shifted, modelled, color=ESTIMATE, linestyle="--", label=label)
-            style.limit_by(upper, force, 0.25)
-        upper.set_ylabel("force [N]")
-        upper.set_xlabel("time since the touch [s]")
-        upper.legend(loc="upper right", ncols=2)
+            lower.plot(seconds, predicted, color=ESTIMATE, linestyle="--", label=label)
+        style.limit_by(lower, force, 0.25)
+        lower.set_ylabel("force [N]")
+        lower.set_xlabel("time since the touch [s]")
+        lower.legend(loc="upper right", ncols=2)
         figure.align_ylabels()
 
     return draw(plot)
@@ -196,7 +194,7 @@ def signals(session: Session, contact: Contact) -> str:
 
 def characteristic(session: Session, contact: Contact, summary: ContactSummary) -> str:
     """Fractional stress against strain, with the fitted law and its band."""
-    points = _points(session.geometry, contact, summary)
+    points = _points(session.config.geometry, contact, summary)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -204,27 +202,20 @@ def characteristic(session: Session, contact: Contact, summary: ContactSummary) 
         estimate = summary.estimate
         if estimate is not None:
             strain = np.linspace(0.0, max(summary.max_strain, 1e-6), 120)
-            response, deviation = _law(strain, summary)
-            logs = np.log(response + _TINY)
-            low, high = (style.exp(logs + sign * 2 * deviation) for sign in (-1.0, 1.0))
-            style.band(axes, strain, low, high)
+            g, g_n = estimate.linear_stiffness, estimate.nonlinear_stiffness
+            response = np.array([elastic_response(x, g, g_n).value for x in strain])
+            # d ln phi by (ln G, ln Gn).
+            gradient = np.array([np.ones_like(strain), np.maximum(g_n * strain - 1.0, 0.0)])
+            variance = np.einsum("in,ij,jn->n", gradient, estimate.covariance[:2, :2], gradient)
+            logs, spread = np.log(response + _TINY), 2.0 * np.sqrt(np.maximum(variance, 0.0))
+            style.band(axes, strain, style.exp(logs - spread), style.exp(logs + spread))
             axes.plot(strain, response, color=ESTIMATE, label="FDEN")
-            boundary = math.exp(-estimate.log_nonlinear_stiffness)
-            if boundary < summary.max_strain:
-                axes.axvline(boundary, color=MUTED, linestyle=":", linewidth=1)
-                axes.annotate(
-                    "1/Gn",
-                    (boundary, 0.0),
-                    xycoords=("data", "axes fraction"),
-                    xytext=(3, 3),
-                    textcoords="offset points",
-                    color=MUTED,
-                    fontsize=8,
-                )
+            if estimate.boundary_strain < summary.max_strain:
+                axes.axvline(estimate.boundary_strain, color=MUTED, linestyle=":", label="1/Gn")
         axes.set_title("Fractional stress against strain")
         axes.set_xlabel("strain")
         axes.set_ylabel("f' [Pa s^α]")
-        axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
+        style.write_ticks(axes)
         style.limit_by(axes, points[:, 1], 0.3)
         axes.legend(loc="upper left")
 
@@ -236,79 +227,58 @@ def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Ar
 
     A state has those of its own time: an alpha that was learned later lifts or lowers them.
     """
-    estimate, moments = summary.estimate, StressMoments()
+    last, moments = summary.estimate, StressMoments()
     points: list[tuple[float, float]] = []
-    before: tuple[int, float] | None = None
-    for state in contact.states.items:
-        signals = state.signals
-        if signals is None:
+    stamp_ns, stress = math.inf, 0.0
+    for state in contact.states:
+        if state.signals is None:
             continue
-        strain, response = signals.strain, signals.fractional_stress
-        if before is not None and state.stamp_ns > before[0]:
-            step = (state.stamp_ns - before[0]) / NANOSECONDS
-            moments.add(step, before[1], signals.stress)
-        own = np.append(moments.values, signals.stress)
-        if estimate is not None and state.estimate is not None:
-            order, then = estimate.fractional_order, state.estimate
-            changed = memory_weights(order) - memory_weights(then.fractional_order)
-            response += float(changed @ own)
-            moved = then.contact_point - estimate.contact_point
+        strain, now = state.signals.strain, state.signals.stress
+        response = state.signals.fractional_stress
+        if state.stamp_ns > stamp_ns:
+            moments.add((state.stamp_ns - stamp_ns) / NANOSECONDS, stress, now)
+        stamp_ns, stress = state.stamp_ns, now
+        if last is not None and (then := state.estimate) is not None:
+            orders = last.fractional_order, then.fractional_order
+            changed = memory_weights(orders[0]) - memory_weights(orders[1])
+            response += float(changed @ np.append(moments.values, now))
+            moved = then.contact_point - last.contact_point
             strain = geometry.strain(geometry.compression(strain) + moved)
         points.append((strain, response))
-        before = state.stamp_ns, signals.stress
     return np.array(points).reshape(-1, 2)
-
-
-def _law(strain: Array, summary: ContactSummary) -> tuple[Array, Array]:
-    """Return the fitted law over `strain`, and the standard deviation of its logarithm."""
-    estimate = summary.estimate
-    assert estimate is not None
-    stiffness, nonlinear = estimate.linear_stiffness, estimate.nonlinear_stiffness
-    response = np.array([elastic_response(x, stiffness, nonlinear).value for x in strain])
-    # d ln phi by (ln G, ln Gn).
-    gradient = np.array([np.ones_like(strain), np.maximum(nonlinear * strain - 1.0, 0.0)])
-    variance = np.einsum("in,ij,jn->n", gradient, estimate.covariance[:2, :2], gradient)
-    return response, np.sqrt(np.maximum(variance, 0.0))
 
 
 def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
     """How G and Gn became known."""
-    states = [s for s in contact.states.items if s.estimate is not None]
+    states = [s for s in contact.states if s.estimate is not None]
+    estimates = [s.estimate for s in states]
+    time = _since_touch(states)
 
     def plot(figure: Figure) -> None:
-        time = _since(states, contact.states.items[0].stamp_ns)
         for index, axes in enumerate(figure.subplots(2, 1, sharex=True)):
             key, label = _PARAMETERS[index]
-            estimates = [s.estimate for s in states]
-            value, low, high = style.parameter(axes, time, estimates, index)
+            value, low, high = style.interval(estimates, index)
+            is_known = np.array([e.knows(index) for e in estimates], dtype=bool)
+            style.band(axes, time, low, high)
+            axes.plot(time, value, color=ESTIMATE, linewidth=1.0, label="estimate")
+            known = np.where(is_known, value, np.nan)
+            axes.plot(time, known, color=ESTIMATE, linewidth=2.4, label="converged")
             if truth is not None:
                 axes.axhline(truth[key], color=TRUTH, linestyle=":", label="truth")
             final = float(value[-1])
             away = np.abs(np.concatenate([low, high]) - final)
-            spread = min(float(np.quantile(away, 0.9)), 2.0 * final)
-            axes.set_ylim(final - 1.3 * spread - 0.02 * final, final + 1.3 * spread + 0.02 * final)
+            half = 1.3 * min(float(np.quantile(away, 0.9)), 2.0 * final) + 0.02 * final
+            axes.set_ylim(final - half, final + half)
             axes.set_ylabel(label)
-            axes.yaxis.set_major_formatter(lambda value, _: written(value, 6))
+            style.write_ticks(axes)
         figure.axes[0].set_title("The estimate")
         style.legend_above(figure.axes[0])
-        figure.axes[-1].set_xlabel("time since the touch [s]")
+        axes.set_xlabel("time since the touch [s]")
         figure.align_ylabels()
 
     return draw(plot)
 
 
-def _seconds(stamp_ns: int, session: Session) -> float:
-    return (stamp_ns - session.start_ns) / NANOSECONDS
-
-
-def _since(states: Sequence[TissueState], start_ns: int) -> Array:
-    """Return the times of states since `start_ns` [s], shape (n,)."""
-    return np.array([(s.stamp_ns - start_ns) / NANOSECONDS for s in states])
-
-
-def _envelope(axes: Axes, envelope: Envelope, start_ns: int, scale: float) -> None:
-    time, low, high = envelope.arrays(start_ns)
-    if time.size:
-        # Drawn as a line up and down: where there is one value only, a band has no width.
-        y = scale * np.column_stack([low, high]).ravel()
-        axes.plot(np.repeat(time, 2), y, color=MEASURED, linewidth=0.9)
+def _since_touch(states: Sequence[TissueState]) -> Array:
+    """Return the times of states since the first [s], shape (n,)."""
+    return np.array([(s.stamp_ns - states[0].stamp_ns) / NANOSECONDS for s in states])

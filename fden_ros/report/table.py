@@ -13,13 +13,17 @@ from rich.text import Text
 
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, is_path
-from fden_ros.report.numbers import DASH, order, parameter, slope, stiffness
+from fden_ros.offline.known import known_stiffness
+from fden_ros.report.numbers import DASH, bracketed, order, parameter, slope, stiffness
 
-#: Significant digits of a value.
-_DIGITS = 4
-#: And of N/m, so that the table keeps to 80 columns.
-_STIFFNESS_DIGITS = 3
+#: Significant digits of a value, and of N/m, so that the table keeps to 80 columns.
+_DIGITS, _STIFFNESS_DIGITS = 4, 3
 _SLOPE = "slope: dF/dd in N/m as measured at the end of loading, at mm below the surface"
+_PATH = (
+    "contact.mode continuous: dF/dd and α at places on the path; slope: dF/dd in N/m as "
+    "measured by the newest loading"
+)
+_NUMBERS = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope at mm")
 
 
 def table_of(
@@ -28,17 +32,10 @@ def table_of(
     title: str | None = None,
     between: int = 1,
 ) -> Table:
-    """Return a table.
+    """Return a table of cells in rich's markup, with blanks `between` two columns.
 
-    Parameters
-    ----------
-    columns : mapping
-        Heading to the least width of a column of words; 0: it is one of numbers.
-    rows : iterable of sequence of str
-        Cells, in rich's markup.
-    title : str, optional
-    between : int
-        Blanks between two columns, besides that of the box; 0: none at the edges either.
+    `columns`: heading to the least width of a column of words; 0: it is one of numbers. Without
+    blanks between them there are none at the edges either.
     """
     table = Table(
         title=title, box=box.SIMPLE_HEAD, padding=(0, between, 0, 0), show_edge=between > 0
@@ -60,30 +57,18 @@ def contact_table(
 ) -> Table:
     """Return one row a contact, of at most 80 columns.
 
-    `alone`: numbers of the contacts of which N/m is known, and not G.
+    `alone`: numbers of the contacts of which N/m or the slope is known, and not G.
     """
     shown = list(summaries)
     on_path = is_path(shown)
     rows = [_cells(s, on_path=on_path, alone=s.contact_id in alone) for s in shown]
-    numbers = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope at mm")
-    columns = {**dict.fromkeys(numbers, 0), "status": 9, "tissue": 5}
+    columns = {**dict.fromkeys(_NUMBERS, 0), "status": 9, "tissue": 5}
     if all(row[-1] == DASH for row in rows):
         del columns["tissue"]
         rows = [row[:-1] for row in rows]
-    table = table_of(
-        columns,
-        rows,
-        "Places" if on_path else "Contacts",
-        between=0,
-    )
-    if on_path:
-        table.caption = (
-            "contact.mode continuous: dF/dd and α at places on the path; slope: dF/dd in N/m as "
-            "measured by the newest loading"
-        )
-        return table
-    table.caption = _SLOPE
-    if any(cell.startswith("(") for row in rows for cell in row):
+    table = table_of(columns, rows, "Places" if on_path else "Contacts", between=0)
+    table.caption = _PATH if on_path else _SLOPE
+    if not on_path and any(cell.startswith("(") for row in rows for cell in row):
         table.caption += "; in brackets: not determined by the data"
     return table
 
@@ -91,8 +76,8 @@ def contact_table(
 def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool = False) -> str:
     """Return how far a contact's parameters are known, and its flags.
 
-    `on_path`: it is one of the places on the path of a continuous contact, where none has an
-    origin. `alone`: N/m is known of it, and not G.
+    `on_path`: it is a place on the path of a continuous contact. `alone`: G is not known of it,
+    but N/m or the slope.
     """
     words = "not converged"
     if on_path:
@@ -102,7 +87,7 @@ def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool 
     elif summary.estimate is not None and ParameterSet.LINEAR_STIFFNESS in summary.estimate.known:
         words = "G known"
     elif alone:
-        words = "N/m known"
+        words = f"{known_stiffness(summary)} known"
     parts = [words] if summary.complete else [words, "cut short"]
     parts += [
         flag.name.lower().replace("_", " ")
@@ -118,11 +103,6 @@ def label_words(summary: ContactSummary) -> str:
     return summary.classes.words if summary.classes is not None else "undetermined"
 
 
-def bracketed(text: str) -> str:
-    """Return a number as one that the data did not determine."""
-    return text if text == DASH or text.startswith("(") else f"({text})"
-
-
 def _cells(summary: ContactSummary, *, on_path: bool, alone: bool) -> list[str]:
     estimate = summary.estimate
     g = g_n = alpha = DASH
@@ -131,9 +111,8 @@ def _cells(summary: ContactSummary, *, on_path: bool, alone: bool) -> list[str]:
         alpha = order(estimate, with_deviation=False)
         if alone:
             g, g_n = bracketed(g), bracketed(g_n)
-    if summary.is_of_path:
-        g = DASH
-        g_n = g_n if estimate is not None and estimate.determines(1) else DASH
+        if summary.is_of_path:
+            g, g_n = DASH, g_n if estimate.determines(1) else DASH
     is_plausible = Flag.IMPLAUSIBLE not in summary.flags
     return [
         str(summary.contact_id),

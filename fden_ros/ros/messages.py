@@ -39,7 +39,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
-from fden_ros.ros.inputs import stamp_ns
+from fden_ros.inputs import stamp_ns
 
 _Message = TypeVar("_Message")
 

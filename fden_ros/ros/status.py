@@ -78,6 +78,8 @@ class PipelineProblems:
             del counts[words]
         for words in counts - self._warned_before:
             self._warned[words] = _WARNED_FOR
+        # In the order of the pipeline, which names the likeliest first.
+        self._warned = {words: self._warned[words] for words in counts if words in self._warned}
         news = PipelineNews(
             pairs=pairs - self._pairs_before,
             rejected=rejected - self._rejected_before,

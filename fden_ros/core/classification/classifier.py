@@ -3,15 +3,14 @@
 
 r"""Which tissue of a library an estimate belongs to, with probabilities that can be trusted.
 
-An estimate is a posterior: the estimator's prior is in it. What the data alone say of
-:math:`\theta = (\ln G, \ln G_n, \alpha)` is the posterior over the prior, a :class:`Likelihood`
+What the data alone say of :math:`\theta = (\ln G, \ln G_n, \alpha)` is the posterior over the
+estimator's prior, a :class:`Likelihood`
 
 .. math:: \ln L(\theta) = s^T (\theta - c) - \tfrac12 (\theta - c)^T \Lambda\, (\theta - c),
    \qquad \Lambda = P^{-1} - C_0^{-1}, \quad s = C_0^{-1} (c - m_0),
 
 with c and P the estimate and its covariance, :math:`m_0` and :math:`C_0` those of the prior.
-What the data do not show (alpha after a ramp) has no information in :math:`\Lambda` and therefore
-no weight, without a rule of its own. Likelihoods of several contacts with one place add up.
+What the data do not show has no information in :math:`\Lambda` and therefore no weight.
 
 A class spreads as :math:`\theta = \mu + u`, u normal with covariance :math:`\Sigma`, or Student's
 t where the class was learned from few specimens, which is a normal with :math:`\Sigma/g` averaged
@@ -23,8 +22,7 @@ over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K
    \qquad m = \mu - c, \quad h = V^T K^T (s - \Lambda m).
 
 ``unknown`` is one more class, as wide as soft tissue is. ``p_value`` is the share of contacts with
-the best fitting tissue that lie as far from its centre as this one, or farther: a place whose
-p_value is below the significance is unknown, however small the prior of that.
+the best fitting tissue that lie as far from its centre as this one, or farther.
 """
 
 from __future__ import annotations
@@ -118,39 +116,19 @@ class Likelihood:
     score: Array  #: slope of the logarithm there, shape (..., 3)
     information: Array  #: less its curvature, positive semidefinite, shape (..., 3, 3)
 
-    def __add__(self, other: Likelihood) -> Likelihood:
-        """Return what independent data on the same place say together."""
-        moved = self.centre - other.centre
-        return Likelihood(
-            self.centre,
-            self.score + other.score - _times(other.information, moved),
-            self.information + other.information,
-        )
-
 
 def likelihood_of(
     mean: Array, covariance: Array, prior: Prior | None = None, *, order_counts: bool = True
 ) -> Likelihood:
-    """Return what the data say, from posteriors and the estimator's prior.
+    """Return what the data say, from posteriors (..., 3) with covariances (..., 3, 3).
 
-    Parameters
-    ----------
-    mean : ndarray, shape (..., 3)
-    covariance : ndarray, shape (..., 3, 3)
-    prior : Prior, optional
-        Normal and independent in (ln G, ln Gn, alpha); without it the posteriors are taken for
-        measurements.
-    order_counts : bool
-        alpha was not given: what the data say of it is evidence.
+    `prior` is that of the estimator; without it they are taken for measurements. `order_counts`:
+    alpha was not given, so that what the data say of it is evidence.
     """
     used = 3 if order_counts and (prior is None or prior.fractional_order_sd > 0.0) else 2
-    if prior is None:
-        centre, scale = np.zeros(3), np.sqrt(np.einsum("...ii->...i", covariance))
-        scale = np.where(scale > 0.0, scale, 1.0)
-    else:
-        # An alpha that was known exactly has no scale of its own.
-        centre, scale = prior.mean, np.where(prior.deviations > 0.0, prior.deviations, 1.0)
-    scale = np.broadcast_to(scale, mean.shape)[..., :used]
+    own = np.sqrt(np.einsum("...ii->...i", covariance)) if prior is None else prior.deviations
+    # An alpha that was known exactly has no scale of its own.
+    scale = np.broadcast_to(np.where(own > 0.0, own, 1.0), mean.shape)[..., :used]
     scaled = covariance[..., :used, :used] / (scale[..., :, None] * scale[..., None, :])
     variances, axes = np.linalg.eigh(scaled)
     variances = np.maximum(variances, _LEAST_VARIANCE)
@@ -158,7 +136,7 @@ def likelihood_of(
         known, slope = 1.0 / variances, np.zeros_like(variances)
     else:
         known = np.maximum(1.0 / variances - 1.0, 0.0)
-        off = (mean - centre)[..., :used] / scale
+        off = (mean - prior.mean)[..., :used] / scale
         # A covariance that was widened for a mismatch may exceed the prior's: nothing is known.
         slope = np.where(known > 0.0, _times(np.swapaxes(axes, -1, -2), off), 0.0)
     information = np.zeros((*mean.shape, 3))
@@ -175,12 +153,7 @@ def classify(
 ) -> ClassProbabilities:
     """Return the probability of every class given what the data of one place say.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of one place.
-    significance : float
-        The label is ``unknown`` where the p_value is below this.
+    The label is ``unknown`` where the p-value is below the `significance`.
     """
     evidence, fits = log_evidence(library, likelihood)
     probabilities = posterior(library, evidence)
@@ -197,31 +170,19 @@ def classify(
 
 
 def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array, Array]:
-    """Return the log evidence of every class and how well each tissue fits.
+    """Return the log evidence of every class (..., k + 1) and how well each tissue fits (..., k).
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Leading axes (...).
-
-    Returns
-    -------
-    evidence : ndarray, shape (..., k + 1)
-        Up to a constant that the classes share; ``unknown`` last.
-    p_value : ndarray, shape (..., k)
-        P(as far out | tissue), for each tissue but ``unknown``.
+    The evidence is up to a constant that the classes share, ``unknown`` last; the fit is
+    P(as far out | tissue). The `likelihood` has leading axes (...).
     """
-    pairs = [_of_class(tissue, likelihood) for tissue in library.classes]
+    pairs = [_of_class(one, likelihood) for one in library.classes]
     evidence = np.stack([pair[0] for pair in pairs], axis=-1)
     return evidence, np.stack([pair[1] for pair in pairs[:-1]], axis=-1)
 
 
 def posterior(library: TissueLibrary, evidence: Array) -> Array:
-    """Return the probabilities of all classes from their log evidence, shape (..., k + 1).
-
-    Evidences of places that belong to one tissue, but differ within it, are summed before.
-    """
-    logs = evidence + np.log([tissue.prior for tissue in library.classes])
+    """Return the probabilities of all classes from their log evidence, shape (..., k + 1)."""
+    logs = evidence + np.log([one.prior for one in library.classes])
     result: Array = np.exp(logs - logs.max(axis=-1, keepdims=True))
     result /= result.sum(axis=-1, keepdims=True)
     return result

@@ -56,30 +56,24 @@ class Decider:
         self._since_ns = 0
 
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
-        """Take the newest probabilities; return the label, empty while there is none.
-
-        `last`: no more come, so that another answer replaces the label at once.
-        """
+        """Take probabilities, or the `last`; return the label, empty while there is none."""
         candidate = self._answer(classes)
         if candidate == self.label:
             self._candidate = candidate
         elif candidate != self._candidate or not self.label:
             self._candidate, self._since_ns = candidate, stamp_ns
-        if not self.label or last or self._has_stood(stamp_ns):
+        has_stood = stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
+        if not self.label or last or has_stood:
             self.label = candidate
         return self.label
-
-    def _has_stood(self, stamp_ns: int) -> bool:
-        return stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
 
     def _answer(self, classes: ClassProbabilities) -> str:
         config = self._config
         if not classes.is_observable:
             return ""
         own = dict(zip(classes.names, classes.probabilities, strict=True))
-        is_unknown = self.label == UNKNOWN
-        limit = config.significance * (_KNOWN_AGAIN if is_unknown else 1.0)
-        if classes.p_value < limit:
+        factor = _KNOWN_AGAIN if self.label == UNKNOWN else 1.0
+        if classes.p_value < factor * config.significance:
             return UNKNOWN
         best = max(own, key=lambda name: own[name])
         if own[best] >= config.probability:
@@ -135,9 +129,7 @@ class Labeller:
     @property
     def library_name(self) -> str:
         """Name of the library in use; empty: none is."""
-        if self.surroundings is not None or self.library is None:
-            return ""
-        return self.library.name
+        return self.library.name if self.library and self.surroundings is None else ""
 
     def forget(self, site_id: int | None = None) -> None:
         """Compare with a site no more; None: with none of those so far."""
@@ -148,13 +140,9 @@ class Labeller:
         self, site_id: int, estimate: Estimate
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
-        config = self.estimator
-        likelihood = likelihood_of(
-            estimate.mean,
-            estimate.covariance,
-            config.prior,
-            order_counts=config.learns_fractional_order,
-        )
+        learns, prior = self.estimator.learns_fractional_order, self.estimator.prior
+        posterior = estimate.mean, estimate.covariance
+        likelihood = likelihood_of(*posterior, prior, order_counts=learns)
         if self.surroundings is not None:
             return self.surroundings.classes(site_id, estimate, likelihood)
         if self.library is not None:
@@ -165,15 +153,10 @@ class Labeller:
 class Labelling:
     """The label of one contact with a site."""
 
-    def __init__(
-        self,
-        labeller: Labeller,
-        site_id: int,
-        start_ns: int,
-    ) -> None:
+    def __init__(self, labeller: Labeller, site_id: int, start_ns: int) -> None:
         self._labeller = labeller
         self._site_id, self._start_ns = site_id, start_ns
-        self._is_mismatch = False  # as was said last
+        self._is_mismatch = False  # as was given last
         self._decider = Decider(labeller.decision)
         self._answer = Answer()
 
@@ -187,27 +170,27 @@ class Labelling:
         has_changed: bool,
         is_mismatch: bool,
     ) -> Iterator[Answer]:
-        """Take what is known after a block; give each answer that differs from the last.
+        """Take what is known after a numbered block; give each answer that differs from the last.
 
-        `max_strain` so far [1]; `block` is its number; `has_changed`: the tissue has,
-        under the probe; `is_mismatch`: the model does not describe the contact.
+        `has_changed`: the tissue under the probe; `is_mismatch`: the model does not describe it.
         """
-        if has_changed and self._answer.classes is not None:
+        before = self._answer.classes
+        if has_changed and before is not None:
             # The tissue that was named is no longer under the probe.
             self._decider = Decider(self._labeller.decision)
-            self._answer = replace(self._answer, decided=None)
-            yield self._say(None, is_mismatch)
+            self._answer, before = replace(self._answer, decided=None), None
+            yield self._give(None, is_mismatch)
         elif is_mismatch != self._is_mismatch:
             # The label stands, but no longer without a reservation.
-            yield self._say(self._answer.classes, is_mismatch)
+            yield self._give(before, is_mismatch)
         classes = None
         if estimate is not None and estimate.converged:
-            if block % _CLASSIFY_EVERY and self._answer.classes is not None:
+            if block % _CLASSIFY_EVERY and before is not None:
                 return
             classes = self._classes(stamp_ns, estimate, max_strain)
         is_first = self._answer.decision is Decision.NONE
-        if self._is_news(classes) if classes is not None else is_first:
-            yield self._say(classes, is_mismatch)
+        if _differ(before, classes) if classes is not None else is_first:
+            yield self._give(classes, is_mismatch)
 
     def finish(self, stamp_ns: int, estimate: Estimate | None, max_strain: float) -> Answer:
         """Return the answer at the end of the contact; no other comes that it must stand for."""
@@ -216,18 +199,7 @@ class Labelling:
         classes = self._classes(stamp_ns, estimate, max_strain, last=True)
         return Answer() if classes is None else replace(self._answer, classes=classes)
 
-    def _is_news(self, classes: ClassProbabilities) -> bool:
-        previous = self._answer.classes
-        return (
-            previous is None
-            or previous.label != classes.label
-            or any(
-                abs(new - old) > _PROBABILITY_CHANGE
-                for new, old in zip(classes.probabilities, previous.probabilities, strict=True)
-            )
-        )
-
-    def _say(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
+    def _give(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
         decision = Decision.UNDETERMINED
         if classes is not None and classes.label:
             decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
@@ -250,3 +222,10 @@ class Labelling:
             decided = Decided(elapsed, max_strain) if label else None
             self._answer = replace(self._answer, decided=decided)
         return classes._replace(label=label)
+
+
+def _differ(old: ClassProbabilities | None, new: ClassProbabilities) -> bool:
+    if old is None or old.label != new.label:
+        return True
+    changes = (abs(a - b) for a, b in zip(new.probabilities, old.probabilities, strict=True))
+    return max(changes) > _PROBABILITY_CHANGE

@@ -3,9 +3,8 @@
 
 r"""How many times stiffer a place is than its surroundings, for tissue that no library knows.
 
-Places are compared by the logarithm of their apparent modulus. The surroundings vary by nature,
-:math:`l_k \sim N(m, t^2 + v_k)` (random effects; R. DerSimonian and N. Laird, Controlled Clinical
-Trials 7 (1986) 177), where a share, estimated too, may be something else, lesions among them.
+Logarithms of the apparent modulus vary as :math:`l_k \sim N(m, t^2 + v_k)` (random effects; R.
+DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177), where a share may be lesions.
 """
 
 from __future__ import annotations
@@ -58,10 +57,8 @@ class Comparison:
 
     def classes(self, ratio: float) -> ClassProbabilities:
         """Return the probabilities of being softer, alike and stiffer by `ratio`."""
-        limits = np.log([1.0 / ratio, ratio])
-        below, above = stdtr(
-            self.degrees_of_freedom, (limits - self.log_ratio) / self.log_ratio_sd
-        )
+        limits = (np.log([1.0 / ratio, ratio]) - self.log_ratio) / self.log_ratio_sd
+        below, above = stdtr(self.degrees_of_freedom, limits)
         probabilities = (float(below), float(above - below), float(1.0 - above))
         return ClassProbabilities(ANSWERS[int(np.argmax(probabilities))], ANSWERS, probabilities)
 
@@ -115,7 +112,4 @@ class Surroundings:
 
     def forget(self, site_id: int | None = None) -> None:
         """Forget a site; None: all."""
-        if site_id is None:
-            self._sites.clear()
-        else:
-            self._sites.pop(site_id, None)
+        self._sites = {k: v for k, v in self._sites.items() if site_id not in (None, k)}

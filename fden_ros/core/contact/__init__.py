@@ -3,7 +3,7 @@
 
 """When and where the probe touched."""
 
-from fden_ros.core.contact.air import SLOW_NS, ContactConfig, least_noise
+from fden_ros.core.contact.air import SLOW_NS, ContactConfig
 from fden_ros.core.contact.detector import ContactDetector, Onset, Release
 
 __all__ = [
@@ -12,5 +12,4 @@ __all__ = [
     "ContactDetector",
     "Onset",
     "Release",
-    "least_noise",
 ]

@@ -3,14 +3,14 @@
 
 """Contact: when the probe touches, where the tissue's surface is, and when the probe leaves.
 
-In the air the force's bias and noise are measured. A rise above the noise is a contact; its true
-onset is then looked for backwards, by fitting the model's own response to the samples kept from
-before the detection, because a threshold alone places the strain origin too late. The pipeline
-replays those samples, so nothing of the contact is lost.
+In the air the force's bias and noise are measured. A rise above the noise that the motion explains
+better than a drift does is a contact; its onset is found backwards, among the samples kept from
+before the detection, because a threshold alone places the strain origin too late.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,12 +25,10 @@ from fden_ros.core.contact.air import (
     Baseline,
     Chunk,
     Chunks,
+    ContactConfig,
     Excess,
 )
-from fden_ros.core.contact.air import ContactConfig as ContactConfig
-from fden_ros.core.contact.approach import Approach
-from fden_ros.core.contact.release import ReleaseDetector
-from fden_ros.core.contact.surface import FIRST_WINDOW, find_surface
+from fden_ros.core.contact.surface import FIRST_WINDOW, Approach, find_surface
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: What lasts no longer than this before the first contact may be a press as well as the air [ns]:
@@ -38,20 +36,28 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 _LEAST_AIR_NS = 100_000_000
 #: A rise of the force that a contact explains by less than this chi-squared better than a straight
 #: line in time does is a drift. One that may still grow is given time up to 200: what is seen
-#: longer tells the surface better.
+#: longer shows the surface better.
 MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
 #: After 10 chunks in a row below the bias by more than the threshold the bias is another.
 _BELOW_CHUNKS = 10
-#: A rise is looked at again when it has lasted for a tenth longer, or has fallen by 30 %.
+#: A rise is examined again when it has lasted for a tenth longer, or has fallen by 30 %. It was a
+#: drift when it lasted for 2 chunks, is over, and a slow contact would have been found by then.
 RETRY, _OVER = 0.1, 0.7
-#: Such a rise was a drift when it lasted for 2 chunks, is over, and a slow contact would have been
-#: told by then.
-_DRIFT_CHUNKS = 2
 #: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
 #: at first.
 _COLOUR, LONG_WINDOW = 1.5, 1.0
-#: At most this number of samples in the air is kept, whatever the sampling rate.
-_MAX_LOOKBACK_SAMPLES = 40_000
+#: From half of what is a contact on, a slow one may be on, and the baseline stands still.
+_SUSPICION = 0.5
+#: Samples of the lookback that are kept at least, and at most.
+_LEAST_LOOKBACK, _MOST_LOOKBACK = 72, 40_000
+#: A contact ends when the mean over as many chunks as detected it, at least 2, is below half of
+#: what is a contact, ...
+_RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
+#: ... or when the probe is behind the surface by this share of its deepest penetration. One that
+#: holds still, within this share of that, does not leave: the tissue relaxes.
+_RETREAT, _HELD = 0.2, 0.05
+#: Inertia counts where its largest force in the air is more than this share of that detected.
+_INERTIAL = 0.05
 
 
 class Onset(NamedTuple):
@@ -84,14 +90,59 @@ class Release(NamedTuple):
 class _Rise:
     """A rise of the force that may be a contact's."""
 
+    doubted_ns: int | None = None  #: since when a drift explains it as well
+    doubted_chunks: int = 0  #: above the threshold since
     peak: float = 0.0  #: largest ratio to what air gives, since it fell last [1]
     is_clear: bool = False  #: a chunk was
     is_doubted: bool = False  #: a drift explains it as well
-    look_ns: int = 0  #: when it is looked at again
+    look_ns: int = 0  #: when it is examined again
+
+
+class _Press:
+    """A contact until its end; `clear` is the force that a single chunk in contact exceeds [N]."""
+
+    def __init__(self, onset: Onset, clear: float, excess: Excess) -> None:
+        self.bias, self._surface = onset.bias, onset.displacement
+        self._deepest = onset.displacement
+        self._clear = max(clear, excess.threshold)
+        self.release_force = _RELEASE_SHARE * self._clear
+        self._low = _RELEASE_SHARE * excess.threshold
+        self._averaged = max(excess.scale, _RELEASE_CHUNKS)
+        self._newest: deque[tuple[Chunk, bool]] = deque()  # and whether the probe held at its end
+        self._behind_chunks, self._has_held = 0, False
+        #: The probe has left with a force that is drift of the sensor: there is no tissue.
+        self.is_behind = False
+
+    def add(self, chunk: Chunk, pair: Pair) -> int | None:
+        """Take a chunk and its last pair; return since when the probe has left [ns], or None."""
+        self._deepest = max(self._deepest, pair.displacement)
+        if chunk.mean - self.bias > self._clear:
+            # However faintly it began, single chunks have shown it now.
+            self._averaged, self._low = _RELEASE_CHUNKS, self.release_force
+        level = self.bias + self._low
+        is_low = chunk.mean < level
+        is_behind = self._surface - pair.displacement > _RETREAT * (self._deepest - self._surface)
+        self._behind_chunks += is_behind
+        # The chunk in which the probe leaves may still be full of contact.
+        if is_behind and (is_low or self._behind_chunks > 1):
+            self.is_behind = not is_low
+            return chunk.start_ns
+        newest = self._newest
+        is_held = self._deepest - pair.displacement < _HELD * (self._deepest - self._surface)
+        newest.append((chunk, is_held))
+        while len(newest) > self._averaged:
+            newest.popleft()
+        # From a hold on, until the probe moves back, it is relaxation that lowers the force.
+        was_held = newest[max(len(newest) // 2 - 1, 0)][1]
+        self._has_held = is_held and (self._has_held or was_held)
+        size = sum(one.size for one, _ in newest)
+        mean = math.fsum(one.size * one.mean for one, _ in newest) / size
+        has_left = len(newest) == self._averaged and mean < level and not self._has_held
+        return newest[0][0].start_ns if has_left else None
 
 
 class ContactDetector:
-    """Tell contact from air, sample by sample.
+    """Distinguish contact from air, sample by sample.
 
     Parameters
     ----------
@@ -104,23 +155,25 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.has_seen_air = False  #: whether a contact began or ended in the air
+        self.inertial = 0  #: contacts whose force holds the inertia of a mass beyond the sensor
+        self.mass = 0.0  #: of the newest of these [kg]
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples, the baseline and the contact."""
-        self.in_contact = False
         #: Newest time at which what was taken for the air turned out to be a contact.
         self.left_unseen_ns: int | None = None
-        self._samples: deque[Pair] = deque(maxlen=_MAX_LOOKBACK_SAMPLES)
-        self._baseline = Baseline(self._config)
-        self._chunks = Chunks()
-        self._has_released = False
+        self._samples: deque[Pair] = deque(maxlen=_MOST_LOOKBACK)
+        self._baseline, self._chunks = Baseline(self._config), Chunks()
+        self._press: _Press | None = None
+        self._rise, self._has_released = _Rise(), False
         self._began_ns: int | None = None
-        self._release = ReleaseDetector(self._samples)
-        self._rise = _Rise()
-        self._doubted_ns: int | None = None
-        self._doubted_chunks = 0
         self._below = 0  # chunks in a row below the baseline
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the probe presses."""
+        return self._press is not None
 
     def mean_air_force(self) -> float | None:
         """Return the mean force of the last chunks in the air [N]; None in contact or before 5."""
@@ -128,158 +181,140 @@ class ContactDetector:
 
     def add(self, pair: Pair) -> Onset | Release | None:
         """Take one pair; return an event if the contact begins or ends with it."""
+        samples, press = self._samples, self._press
         if self._began_ns is None:
             self._began_ns = pair.stamp_ns
-        if not self.in_contact:
-            self._remember(pair)
+        if press is None:
+            while samples and samples[-1].stamp_ns > pair.stamp_ns:
+                samples.pop()  # the clock has jumped back
             self._baseline.resolution.add(pair.force)
-        else:
-            self._samples.append(pair)
+        samples.append(pair)
+        is_old = self._baseline.is_old
+        while len(samples) > _LEAST_LOOKBACK and is_old(samples[0].stamp_ns, pair.stamp_ns):
+            samples.popleft()
         chunk = self._chunks.add(pair)
         if chunk is None:
             return None
-        return self._in_contact(chunk, pair) if self.in_contact else self._in_air(chunk)
-
-    def _remember(self, pair: Pair) -> None:
-        samples = self._samples
-        while samples and samples[-1].stamp_ns > pair.stamp_ns:
-            samples.pop()  # the clock has jumped back
-        samples.append(pair)
-        oldest_allowed = pair.stamp_ns - self._baseline.reach_ns
-        while samples[0].stamp_ns < oldest_allowed:
-            samples.popleft()
+        return self._in_air(chunk) if press is None else self._in_contact(press, chunk, pair)
 
     # In the air
 
     def _in_air(self, chunk: Chunk) -> Onset | None:
-        baseline = self._baseline
+        baseline, rise = self._baseline, self._rise
         air = baseline.before(chunk)
         if air is None:
             baseline.keep(chunk)
             return None
-        noise = baseline.noise_of(air)
-        bias = baseline.bias_at(chunk.end_ns)
-        excess = baseline.excess(chunk)
+        noise, excess = air.white, baseline.excess(chunk)
+        above = chunk.mean - baseline.bias_at(chunk.end_ns)
         beyond_noise = max(self._config.force_threshold, CLEAR_DEVIATIONS * noise)
-        clear = max(beyond_noise, baseline.threshold_of_chunk)
-        is_clear = chunk.mean - bias > clear
-        rise = self._rise
-        is_over = excess.ratio < _OVER * rise.peak
+        clear = max(beyond_noise, float(baseline.thresholds[0]))
+        is_clear, is_over = above > clear, excess.ratio < _OVER * rise.peak
         is_news = is_over or (is_clear and not rise.is_clear)
         rise.peak = max(rise.peak, excess.ratio)
         rise.is_clear |= is_clear
         if rise.peak > 1.0 and (is_news or chunk.end_ns >= rise.look_ns):
-            approach = self._approach_until(chunk.end_ns, bias, noise, is_clear=is_clear)
+            approach = self._approach_until(chunk.end_ns, noise, is_clear=is_clear)
             if self._is_contact(approach, chunk.end_ns, may_grow=not (is_clear or is_over)):
-                self._forget_rise()
-                if is_clear:
-                    excess = Excess(1.0, clear, 1)
-                onset = self._onset(approach, bias, noise, clear)
-                return self._begun(onset, clear, excess)
+                found = Excess(1.0, clear, 1) if is_clear else excess
+                return self._begun(approach, noise, clear, found)
         if is_over:
             self._end_rise(chunk.end_ns, excess.ratio)
-        self._doubted_chunks += self._doubted_ns is not None and excess.ratio >= 1.0
-        baseline.is_suspected = not self._rise.is_doubted and baseline.is_rising(chunk)
+        rise = self._rise
+        rise.doubted_chunks += rise.doubted_ns is not None and excess.ratio >= 1.0
+        baseline.is_suspected = not rise.is_doubted and excess.ratio > _SUSPICION
         baseline.keep(chunk)
-        is_below = baseline.is_measured and chunk.mean - bias < -beyond_noise
+        is_below = baseline.is_measured and above < -beyond_noise
         self._below = self._below + 1 if is_below else 0
         if self._below == _BELOW_CHUNKS:
             self._forget_baseline()
         return None
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
-        """Whether a rise of the force is told from a drift and from a swing."""
+        """Whether a rise of the force is no drift and no swing."""
         if not self._baseline.is_measured:
             return True
-        rise, evidence = self._rise, approach.surface.evidence
+        rise, evidence = self._rise, approach.evidence
         if self._has_released and not approach.has_advanced():
             evidence = 0.0
         rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
         if evidence < MIN_EVIDENCE:
             # A drift, which rises whatever the probe does; or the beginning of a contact that is
-            # too faint to tell yet.
-            if self._doubted_ns is None:
-                self._doubted_ns = now_ns
-            rise.is_doubted = not may_grow or now_ns - self._doubted_ns > SLOW_NS
+            # too faint yet.
+            rise.doubted_ns = rise.doubted_ns or now_ns
+            rise.is_doubted = not may_grow or now_ns - rise.doubted_ns > SLOW_NS
         if evidence < (AMPLE_EVIDENCE if may_grow else MIN_EVIDENCE):
             return False
         return approach.is_established(is_clear=not may_grow)
 
     def _end_rise(self, now_ns: int, ratio: float) -> None:
         """Forget a rise that is over, and count it as a drift if no contact came of it."""
-        self._rise.peak = ratio
+        rise = self._rise
+        rise.peak = ratio
         if ratio >= 1.0:
             return
-        self._rise = _Rise()
-        if self._doubted_ns is not None and now_ns - self._doubted_ns > SLOW_NS:
-            self.drifts += self._doubted_chunks >= _DRIFT_CHUNKS
-            self._forget_rise()
-
-    def _forget_rise(self) -> None:
-        self._rise, self._doubted_ns, self._doubted_chunks = _Rise(), None, 0
+        self._rise = _Rise(rise.doubted_ns, rise.doubted_chunks)
+        if rise.doubted_ns is not None and now_ns - rise.doubted_ns > SLOW_NS:
+            self.drifts += rise.doubted_chunks > 1
+            self._rise = _Rise()
 
     def _forget_baseline(self) -> None:
         """Measure the baseline anew: the force has stayed below it."""
         if self._config.measure_bias:
             # The chunks before were a contact, or the force has the wrong sign.
             self.below_baseline += 1
-            self.left_unseen_ns = self._samples[-1].stamp_ns if self._samples else None
+            self.left_unseen_ns = self._samples[-1].stamp_ns
         self._below = 0
         self._baseline.forget_all_but(MIN_CHUNKS)
         self._samples.clear()
 
-    @property
-    def _drift_taken_off(self) -> float:
-        """Drift that is taken off the force of an approach [N/s]."""
-        return self._baseline.drift if self._config.measure_bias else 0.0
-
-    def _approach_until(
-        self, now_ns: int, bias: float, white: float, *, is_clear: bool
-    ) -> Approach:
+    def _approach_until(self, now_ns: int, white: float, *, is_clear: bool) -> Approach:
         """Return the samples until now, of white noise [N]."""
-        pairs = self._samples
-        start_ns = pairs[0].stamp_ns
+        pairs, baseline = self._samples, self._baseline
+        start_ns, bias = pairs[0].stamp_ns, baseline.bias_at(now_ns)
         time = np.array([(pair.stamp_ns - start_ns) * 1e-9 for pair in pairs])
         force = np.array([pair.force for pair in pairs]) - bias
-        force -= self._drift_taken_off * (time - (now_ns - start_ns) * 1e-9)
+        force -= baseline.drift * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
         window = FIRST_WINDOW if is_clear else LONG_WINDOW
-        surface = find_surface(time, force, displacement, self._order, 0.0, window)
-        onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
-        level = self._baseline.level(bias, white, onset_ns)
-        if level.noise > _COLOUR * white:
-            # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
-            surface = find_surface(
-                time, force, displacement, self._order, level.noise, LONG_WINDOW
-            )
-        return Approach(time, force, displacement, surface)
+        approach = find_surface(time, force, displacement, self._order, 0.0, window)
+        noise = baseline.level(bias, white, pairs[approach.first].stamp_ns).noise
+        if noise <= _COLOUR * white:
+            return approach
+        # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
+        return find_surface(time, force, displacement, self._order, noise, LONG_WINDOW)
 
-    def _onset(self, approach: Approach, bias: float, noise: float, clear: float) -> Onset:
-        """Return the contact that an approach has met; the baseline forgets what is of it."""
-        pairs, surface = self._samples, approach.surface
-        onset_ns = pairs[min(surface.first, len(pairs) - 1)].stamp_ns
-        self._baseline.forget_since(onset_ns)
-        level = self._baseline.level(bias, noise, onset_ns)
+    def _begun(self, approach: Approach, noise: float, clear: float, excess: Excess) -> Onset:
+        """Begin the contact that an approach has met; the baseline forgets what is of it."""
+        baseline, pairs = self._baseline, self._samples
+        onset_ns, is_measured = pairs[approach.first].stamp_ns, self._config.measure_bias
+        bias, drift = baseline.bias_at(pairs[-1].stamp_ns), baseline.drift
+        baseline.forget_since(onset_ns)
+        level = baseline.level(bias, noise, onset_ns)
         air_seen = approach.began_in_air(clear, self._config.site_timeout)
         # A probe that rested there until the force rose may have pressed already: its bias would
         # hide the preload.
-        came = not self._config.measure_bias or approach.came_through_air()
-        # Nor is it air, before the first release, where the force rises with the way.
-        if level.slope > 0.0 and not self._has_released:
-            came &= approach.rises_by_itself(self._drift_taken_off, level.noise)
-        if self._config.measure_bias and not self._has_released:
+        came = not is_measured or approach.came_through_air()
+        if not self._has_released:
+            # Nor is it air, before the first release, where the force rises with the way.
+            if level.slope > 0.0:
+                came &= approach.rises_by_itself(drift, level.noise)
             assert self._began_ns is not None
-            came &= onset_ns - self._began_ns > _LEAST_AIR_NS
-        seen = surface.first > 0 and air_seen and came
+            came &= not is_measured or onset_ns - self._began_ns > _LEAST_AIR_NS
+        mass, inertia = approach.inertia()
+        if inertia > _INERTIAL * float(approach.force[approach.first :].max()):
+            # It hides the touch: the surface was found up to 5 mm too deep.
+            came, self.inertial, self.mass = False, self.inertial + 1, mass
+        seen = approach.first > 0 and air_seen and came
         if not (seen or self._has_released):
             # There was no air yet in which the force could drift: what rose was this contact.
             self.drifts = 0
         self.has_seen_air |= seen
         # A little before the onset, so that the memory begins with the air.
-        first = max(surface.first - 2, 0) if seen else 0
+        first = max(approach.first - 2, 0) if seen else 0
         way = (approach.time - approach.time[first], approach.displacement, approach.force)
-        return Onset(
+        onset = Onset(
             samples=tuple(pairs)[first:],
             way=np.array(way)[:, :first] + np.array([[0.0], [0.0], [bias - level.value]]),
             bias=level.value,
@@ -287,31 +322,30 @@ class ContactDetector:
             drift=level.slope,
             drift_sd=level.slope_sd,
             noise_sd=level.noise,
-            displacement=surface.displacement,
-            displacement_sd=surface.displacement_sd,
-            shows_surface=surface.is_seen,
+            displacement=approach.surface,
+            displacement_sd=approach.surface_sd,
+            shows_surface=approach.shows_surface,
             seen=seen,
             air_seen=air_seen,
         )
-
-    def _begun(self, onset: Onset, clear: float, excess: Excess) -> Onset:
-        self.in_contact = True
-        self._release.begin(onset.bias, onset.displacement, clear, excess)
-        self._samples.clear()
-        self._below = 0
-        self._baseline.is_suspected = False
-        return onset._replace(release_force=self._release.threshold)
+        self._press = _Press(onset, clear, excess)
+        pairs.clear()
+        self._rise, self._below, baseline.is_suspected = _Rise(), 0, False
+        return onset._replace(release_force=self._press.release_force)
 
     # In contact
 
-    def _in_contact(self, chunk: Chunk, pair: Pair) -> Release | None:
-        left_ns = self._release.add(chunk, pair)
+    def _in_contact(self, press: _Press, chunk: Chunk, pair: Pair) -> Release | None:
+        left_ns = press.add(chunk, pair)
         if left_ns is None:
             return None
-        if self._release.is_behind:
+        if press.is_behind:
             self._baseline.forget_all_but(0)
-        self.in_contact = False
-        self._has_released = self.has_seen_air = True
+        self._press, self._has_released, self.has_seen_air = None, True, True
         self._baseline.is_measured = True
-        self._release.leave()
+        # What is air at its end is air before the next one.
+        samples, least = self._samples, press.bias + press.release_force
+        newest = (k for k, p in enumerate(samples) if p.force >= least or p.stamp_ns < left_ns)
+        for _ in range(max(newest, default=-1) + 1):
+            samples.popleft()
         return Release(left_ns)

@@ -3,11 +3,12 @@
 
 r"""Where an approach met the tissue: the surface, found backwards from the detection.
 
-And how the force rose: along a line from that surface, or exponentially.
+Least squares of the law's response at small strain, :math:`k\,D^\alpha \max(d - d_0, 0)`, over
+the surface :math:`d_0`, the stiffness k and the force's bias eliminated; exact for any approach,
+since the fractional derivative is that of the measured motion.
 
-Below the boundary strain 1/Gn the law is linear, and a touch bends the force: there the surface
-is. Where noise hides that part, the force that is seen rises as :math:`e^{G_n x}` from nowhere,
-and a surface found by a line is where the noise ends, not where the tissue begins.
+Where noise hides the linear part, below the strain 1/Gn, the force rises as :math:`e^{G_n x}`, and
+a surface found by a line is where the noise ends, not where the tissue begins.
 """
 
 from __future__ import annotations
@@ -22,54 +23,133 @@ from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
 
-#: Growths over the depth at which exponentials are compared with the line, a factor of the
-#: root of two apart: a line bends less than the first of them, and the steepest is beyond what
-#: the noise hides.
+#: Growths over the depth at which exponentials are compared with the line: that bends less than
+#: the first of them, and the steepest is beyond what the noise hides.
 _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
-#: than every exponential does, which is what tells a touch from a drift. Of 60 simulated touches
-#: whose linear part was hidden none was above; of 99 whose linear part was seen at most 10 were
-#: below.
+#: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
+#: above; of 99 whose linear part was seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
-
-
-#: A probe is off the surface by more than this many deviations of the surface, and than this many
-#: usual steps of the displacement: noise alone reaches six.
-_CLEAR_DEVIATIONS, _CLEAR_STEPS = 5.0, 10.0
-#: And away from it after this time [s]: a probe that chatters is off for less.
-_LEAST_AWAY = 0.5
-
-
-class Surface(NamedTuple):
-    """Where an approach met the tissue."""
-
-    first: int  #: of the first sample in contact
-    displacement: float  #: [m]
-    displacement_sd: float  #: [m]
-    evidence: float  #: chi-squared by which a contact explains the force better than a drift does
-    is_seen: bool  #: the force rose along a line from there, not exponentially
-
-
+#: A probe has moved by more than this many deviations of the surface, and than this many usual
+#: steps of the displacement: noise alone reaches eight. And away from the surface after this time
+#: [s]: a probe that chatters is off for less.
+_CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
 #: onset, then 40 about the best: the work is bounded, however many samples a window holds.
-_MAX_BINS = 96
-_CANDIDATES = 40
+_MAX_BINS, _CANDIDATES = 96, 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the
-#: onset lies well within it.
-FIRST_WINDOW = 0.1
-_MIN_WINDOW_SAMPLES = 24
-_CONTACT_SHARE = 0.6
-#: Before the onset the force is less than this share of that at the detection.
-_AIR_SHARE = 0.1
+#: onset lies well within it, and the force before it is less than this share of that detected.
+FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _AIR_SHARE = 0.1, 24, 0.6, 0.1
+#: After a release a probe that has not advanced touches nothing. It has by more than 6 usual
+#: second differences, 10 deviations of white noise, and than 2 of the steps of its encoder.
+_ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
+#: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
+#: present speed, by steps of 20 ms; before that a rise must last for 0.15 s from a tenth of its
+#: depth on: then one half of a vibration of 5 Hz is over.
+_MOTION_TIME, _MOTION_SHARE, _MOTION_STEP, _LASTING, _SHALLOW = 0.2, 0.3, 0.02, 0.15, 0.1
+#: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
+#: from a correlation of so many standard deviations on: that of white noise reaches four.
+_AVERAGED, _FOLLOWS = 0.004, 8.0
+#: The force rises by itself where a line in time explains it better than one in the way does, by
+#: this chi-squared.
+_BY_ITSELF = 4.0
 
 
-def clear_way(surface_sd: float, displacement: Array) -> float:
-    """Return the way from a surface [m] that neither its deviation nor usual steps make.
+class Approach(NamedTuple):
+    """The samples of the lookback, and the surface that explains the newest."""
 
-    `displacement`: two samples or more, [m], shape (n,).
-    """
-    step = float(np.median(np.abs(np.diff(displacement))))
-    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
+    time: Array  #: [s]
+    force: Array  #: less bias and drift [N]
+    displacement: Array  #: compliance removed [m]
+    first: int  #: sample behind the surface
+    surface: float  #: [m]
+    surface_sd: float  #: [m]
+    evidence: float  #: chi-squared by which a contact explains the force better than a drift does
+    shows_surface: bool  #: the force rose along a line from there, not exponentially
+
+    @property
+    def lasting(self) -> float:
+        """Since when the probe is behind the surface [s]."""
+        return float(self.time[-1] - self.time[self.first])
+
+    def came_through_air(self) -> bool:
+        """Whether the probe came to the surface through the air."""
+        before = self.displacement[: self.first]
+        if before.size < 2:
+            return False
+        way = self.surface - float(before.min())
+        return way > _clear_way(self.surface_sd, before)
+
+    def has_advanced(self) -> bool:
+        """Whether the probe has moved in since the release, by more than noise makes.
+
+        What moves evenly has no second differences; of noise they are 1.65 deviations.
+        """
+        way = self.displacement
+        steps = np.abs(np.diff(way))
+        noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
+        step = float(steps[steps > 0.0].min(initial=math.inf))
+        advance = float(np.max(way - np.minimum.accumulate(way)))
+        return advance > max(_ADVANCE_NOISE * noise, _ADVANCE_STEPS * step)
+
+    def inertia(self) -> tuple[float, float]:
+        """Return the mass beyond the sensor [kg] and its largest force in the air [N]; 0: none.
+
+        A second difference over n samples is the mean of the acceleration under a triangle.
+        """
+        way, force = self.displacement[: self.first], self.force[: self.first]
+        step = float(self.time[-1]) / max(self.time.size - 1, 1)
+        n = max(round(_AVERAGED / step), 1)
+        if way.size < 8 * n:
+            return 0.0, 0.0
+        acceleration = (way[2 * n :] - 2.0 * way[n:-n] + way[: -2 * n]) / (n * step) ** 2
+        triangle = np.convolve(np.ones(n), np.ones(n)) / n**2
+        mean = np.convolve(force[1:] - np.median(force), triangle, "valid")[: acceleration.size]
+        power = float(acceleration @ acceleration)
+        mass = float(acceleration @ mean) / max(power, sys.float_info.min)
+        left = float(np.std(mean - mass * acceleration)) * math.sqrt(2.0 * n)
+        if mass * math.sqrt(power) <= _FOLLOWS * left:
+            return 0.0, 0.0
+        return mass, mass * float(np.abs(acceleration).max())
+
+    def rises_by_itself(self, drift: float, noise: float) -> bool:
+        """Whether time explains the force before the touch, and not the way of the probe.
+
+        Tissue that was pressed already would push more as the probe advances, and less at rest.
+        `drift` [N/s] was subtracted from the force, whose noise per sample is `noise` [N].
+        """
+        time, way = (values[: self.first] for values in (self.time, self.displacement))
+        force = self.force[: self.first] + drift * time
+        if way.size < 3 or np.ptp(way) == 0.0:
+            return False
+        by_time, by_way = (np.corrcoef(force, by)[0, 1] ** 2 for by in (time, way))
+        return float(by_time - by_way) * force.size * float(np.var(force)) > _BY_ITSELF * noise**2
+
+    def began_in_air(self, threshold: float, rest: float) -> bool:
+        """Whether no force was there [N] when the data began, or none for `rest` [s] since."""
+        if self.force[0] < threshold:
+            return True
+        pressed = np.flatnonzero(self.force[: self.first] >= threshold)
+        return pressed.size > 0 and bool(self.time[self.first] - self.time[pressed[-1]] > rest)
+
+    def is_established(self, *, is_clear: bool) -> bool:
+        """Whether the present rise can be no swing of a force that is shaken by the motion.
+
+        It has lasted, or the probe has moved as fast before and the force's swing is known.
+        """
+        time, first = self.time, self.first
+        depth = self.displacement - self.surface
+        # Where the probe rested, the surface may have been found anywhere in that time.
+        shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
+        first += int(shallow[-1]) if shallow.size else 0
+        lasting = float(time[-1] - time[first])
+        if lasting > _LASTING or not is_clear:
+            return lasting > _LASTING
+        instants = np.arange(time[first], time[0], -_MOTION_STEP)
+        moved = np.abs(np.diff(np.interp(instants, time, self.displacement)))
+        speed = abs(float(depth[-1] - depth[first])) / max(lasting, _MOTION_STEP)
+        moving = np.count_nonzero(moved >= _MOTION_SHARE * speed * _MOTION_STEP)
+        return bool(moving * _MOTION_STEP > _MOTION_TIME)
 
 
 def find_surface(
@@ -79,50 +159,40 @@ def find_surface(
     fractional_order: float,
     noise: float = 0.0,
     window: float = FIRST_WINDOW,
-) -> Surface:
-    r"""Find where the force begins to follow the displacement.
+) -> Approach:
+    """Find where the force begins to follow the displacement, in samples that end in contact.
 
-    Least squares of the model's small-strain response :math:`k\,D^\alpha \max(d - d_0, 0)` over
-    the surface :math:`d_0`, the stiffness k and the force's bias eliminated; exact for any
-    approach, since the fractional derivative is that of the measured motion. The window reaches
-    back from the last sample just as far as it must.
-
-    Parameters
-    ----------
-    time, force, displacement : ndarray, shape (n,)
-        Samples [s], [N] less bias, [m]; the last ones in contact.
-    fractional_order : float
-        Rough alpha [1].
-    noise : float
-        Least standard deviation of the force per sample, as white noise [N].
-    window : float
-        First window [s].
+    These are [s], [N] less bias, and [m], shape (n,); `noise` is the least standard deviation of
+    the force per sample, as white noise [N], `window` the first to look in [s].
     """
     detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
     while True:
-        start = min(
-            int(np.searchsorted(time, time[-1] - window)), max(time.size - _MIN_WINDOW_SAMPLES, 0)
-        )
-        bins = _Bins.of(time, force, displacement, start, fractional_order)
-        onset_time = bins.best(
-            np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
-        )
+        start = int(np.searchsorted(time, time[-1] - window))
+        start = min(start, max(time.size - _MIN_WINDOW_SAMPLES, 0))
+        bins = _Bins.of(time, force, displacement, start, fractional_order, noise)
+        tried = np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
+        onset_time = bins.best(tried)
         inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
         # A bend within the contact is no onset: before that, the force is the air's.
-        if start == 0 or (inside and bins.mean_force_until(onset_time) < _AIR_SHARE * detected):
+        before = float(bins.force[bins.time <= onset_time].mean())
+        if start == 0 or (inside and before < _AIR_SHARE * detected):
             break
         window = 2.0 * max(window, float(time[-1] - time[start]))
     spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
     onset_time = bins.best(onset_time + np.linspace(-spacing, spacing, _CANDIDATES))
-    surface = float(np.interp(onset_time, bins.time, bins.displacement))
-    surface_sd = bins.deviation(onset_time, spacing, noise)
-    return Surface(
-        _last_way_in(time, displacement, onset_time, surface, surface_sd),
-        surface,
-        surface_sd,
-        bins.evidence(onset_time, noise),
-        bins.shows(onset_time),
-    )
+    surface, sd = bins.surface(onset_time, spacing)
+    first = _last_way_in(time, displacement, onset_time, surface, sd)
+    found = (min(first, time.size - 1), surface, sd, *bins.evidence(onset_time))
+    return Approach(time, force, displacement, *found)
+
+
+def _clear_way(surface_sd: float, displacement: Array) -> float:
+    """Return the way from a surface [m] that neither its deviation nor usual steps make.
+
+    `displacement`: two samples or more, [m], shape (n,).
+    """
+    step = float(np.median(np.abs(np.diff(displacement))))
+    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
 
 
 def _last_way_in(
@@ -138,7 +208,7 @@ def _last_way_in(
     if way.size < 2:
         return first
     # As far before it as a probe is that came through the air.
-    before = np.flatnonzero(way < surface - clear_way(surface_sd, way))
+    before = np.flatnonzero(way < surface - _clear_way(surface_sd, way))
     if not before.size or time[first + before[-1]] - time[first + before[0]] < _LEAST_AWAY:
         return first
     left = int(before[-1])
@@ -153,33 +223,28 @@ class _Bins:
     force: Array
     displacement: Array
     derivative: Array
-    size: int  #: samples per bin
+    least: float  #: least variance of the force of a bin [N^2]
 
     @classmethod
     def of(
-        cls, time: Array, force: Array, displacement: Array, start: int, fractional_order: float
+        cls, time: Array, force: Array, way: Array, start: int, order: float, noise: float
     ) -> _Bins:
-        size = time.size - start
-        per_bin = max(1, -(-size // _MAX_BINS))
-        count = size // per_bin
+        per_bin = max(1, -(-(time.size - start) // _MAX_BINS))
+        count = (time.size - start) // per_bin
         kept = slice(time.size - count * per_bin, None)
-
-        def mean(values: Array) -> Array:
-            averaged: Array = values[kept].reshape(count, per_bin).mean(axis=1)
-            return averaged
-
-        bin_time = mean(time)
-        exponent = 1.0 - fractional_order
+        bin_time, bin_force, bin_way = (
+            values[kept].reshape(count, per_bin).mean(axis=1) for values in (time, force, way)
+        )
+        exponent = 1.0 - order
         lag = np.maximum(bin_time[:, None] - bin_time[None, :], 0.0) ** exponent
         matrix = (lag[:, :-1] - lag[:, 1:]) / (np.diff(bin_time) * gamma(exponent + 1.0))
-        return cls(bin_time, mean(force), mean(displacement), matrix, per_bin)
+        return cls(bin_time, bin_force, bin_way, matrix, noise**2 / per_bin)
 
     def misfit(self, onset_times: Array) -> Array:
         """Sum of squared residuals [N^2] for each candidate onset, shape (candidates,)."""
         surface = np.interp(onset_times, self.time, self.displacement)
         depth = np.maximum(self.displacement[:, None] - surface, 0.0)
-        depth *= self.time[:, None] >= onset_times
-        return self._misfit_of(depth)
+        return self._misfit_of(depth * (self.time[:, None] >= onset_times))
 
     def _misfit_of(self, signals: Array) -> Array:
         """Sum of squared residuals [N^2] of the responses to signals (bins, m), shape (m,)."""
@@ -193,47 +258,42 @@ class _Bins:
         misfit: Array = force @ force - explained
         return misfit
 
-    def mean_force_until(self, onset_time: float) -> float:
-        before = self.force[self.time <= onset_time]
-        return float(before.mean()) if before.size else 0.0
-
     def best(self, onset_times: Array) -> float:
         return float(onset_times[np.argmin(self.misfit(onset_times))])
 
-    def evidence(self, onset_time: float, least_noise: float) -> float:
-        """Return the chi-squared by which a contact fits better than a line in time."""
+    def evidence(self, onset_time: float) -> tuple[float, bool]:
+        """Return the chi-squared by which a contact fits better than a line in time.
+
+        And whether the force rose along a line from the onset on, not exponentially.
+        """
         contact = float(self.misfit(np.array([onset_time]))[0])
         line = np.polynomial.Polynomial.fit(self.time, self.force, 1)
         drift = float(np.sum((self.force - line(self.time)) ** 2))
-        noise = max(min(contact, drift), sys.float_info.min) / max(self.time.size - 3, 1)
-        noise = max(noise, least_noise**2 / self.size)
-        return (drift - contact) / noise
+        behind = self.displacement - self.displacement[-1]
+        depth = -float(np.interp(onset_time, self.time, behind))
+        growths = np.outer(np.minimum(behind / max(depth, sys.float_info.min), 0.0), _GROWTHS)
+        exponential = float(self._misfit_of(np.exp(growths)).min())
 
-    def shows(self, onset_time: float) -> bool:
-        """Whether the force rose along a line from the onset on, not exponentially."""
-        detected = float(self.displacement[-1])
-        depth = detected - float(np.interp(onset_time, self.time, self.displacement))
-        if depth <= 0.0:
-            return True
-        behind = np.minimum((self.displacement - detected) / depth, 0.0)
-        exponential = float(self._misfit_of(np.exp(np.outer(behind, _GROWTHS))).min())
-        line = float(self.misfit(np.array([onset_time]))[0])
-        noise = max(min(exponential, line), sys.float_info.min) / max(self.time.size - 3, 1)
-        return exponential - line >= _LEAST_EVIDENCE * noise
+        def gain(other: float, least: float) -> float:
+            noise = max(min(contact, other), sys.float_info.min) / max(self.time.size - 3, 1)
+            return (other - contact) / max(noise, least)
 
-    def deviation(self, onset_time: float, spacing: float, least_noise: float) -> float:
-        """Return the standard deviation of the surface [m] from the curvature of the misfit.
+        is_seen = depth <= 0.0 or gain(exponential, 0.0) >= _LEAST_EVIDENCE
+        return gain(drift, self.least), is_seen
 
-        One bin in contact, or two of which the first is hardly so, tell the force's gain or the
+    def surface(self, onset_time: float, spacing: float) -> tuple[float, float]:
+        """Return the surface and its standard deviation [m], by the curvature of the misfit.
+
+        One bin in contact, or two of which the first is hardly so, show the force's gain or the
         surface, not both: then it may be anywhere between two bins.
         """
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
-        noise = max(float(middle) / max(self.time.size - 2, 1), least_noise**2 / self.size)
-        steps = np.interp(near, self.time, self.displacement)
-        step = max(0.5 * abs(float(steps[2] - steps[0])), sys.float_info.min)
+        noise = max(float(middle) / max(self.time.size - 2, 1), self.least)
+        places = np.interp(near, self.time, self.displacement)
+        step = max(0.5 * abs(float(places[2] - places[0])), sys.float_info.min)
         curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
-        found = step * math.sqrt(2.0 * noise / curvature)
+        sd = step * math.sqrt(2.0 * noise / curvature)
         if np.count_nonzero(self.time > onset_time) < 3:
-            found = max(found, float(np.ptp(self.displacement[-2:])) / math.sqrt(12.0))
-        return min(found, float(np.ptp(self.displacement)))
+            sd = max(sd, float(np.ptp(self.displacement[-2:])) / math.sqrt(12.0))
+        return float(places[1]), min(sd, float(np.ptp(self.displacement)))

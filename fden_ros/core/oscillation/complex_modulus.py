@@ -3,24 +3,21 @@
 
 r"""The complex modulus from a small oscillation on top of whatever else the probe does.
 
-A sinusoidal dither turns the live node into the paper's dynamic test. Over a window of whole
-periods of the slowest frequency, strain and stress are each fitted, by least squares, with
+Over a window of whole periods of the slowest frequency, strain and stress are each fitted, by
+least squares, with
 
 .. math:: c_0 + c_1 \tau + c_2 \tau^2
           + \sum_j \left(a_j \cos\omega_j t + b_j \sin\omega_j t\right), \quad
           \tau \in [-1, 1] ,
 
-where the polynomial takes up the mean, the relaxation of the hold, and slow motion. With the
-phasors :math:`X = a_x - i b_x` and F alike, :math:`G^*(\omega) = F/X`, and from it, in the linear
-range, :math:`\alpha = \tfrac{2}{\pi}\arg G^*` and :math:`G = |G^*|/\omega^\alpha` (paper, eqs.
-defMI to Gpp2).
-With several frequencies the slope of :math:`\ln|G^*|` over :math:`\ln\omega` is alpha a second
-time; some tissue has a larger phase than that says (Kobayashi et al., arXiv:1804.00979), and then
-no alpha is the tissue's. About a mean strain :math:`x_0` beyond 1/Gn this G is the tangent
-:math:`\varphi'(x_0) = G\,e^{G_n x_0 - 1}`.
+where the polynomial takes up mean, relaxation and slow motion. With the phasors
+:math:`X = a_x - i b_x` and F alike, :math:`G^*(\omega) = F/X`, and in the linear range
+:math:`\alpha = \tfrac{2}{\pi}\arg G^*` and :math:`G = |G^*|/\omega^\alpha` (paper, eqs. defMI to
+Gpp2). With several frequencies the slope of :math:`\ln|G^*|` over :math:`\ln\omega` is alpha a
+second time. Beyond 1/Gn this G is the tangent :math:`\varphi'(x_0)`.
 
-Only sums over the window are kept, so a sample costs constant time and memory, and neither even
-steps nor a filled window are assumed. The deviations take the residuals as white.
+Only sums over the window are kept, so a sample costs constant time and memory. The deviations take
+the residuals as white.
 """
 
 from __future__ import annotations
@@ -57,7 +54,7 @@ class ComplexModulus(NamedTuple):
 
     @property
     def fractional_order(self) -> float:
-        """Alpha by the phase [1]; of the tissue only while the strain is in one branch of phi."""
+        """Alpha by the phase [1]."""
         return 2.0 / math.pi * math.atan2(self.loss, self.storage)
 
     @property
@@ -80,25 +77,9 @@ class ComplexModulusMeter:
     frequencies : sequence of float
         Frequencies of the dither [Hz], positive, different.
     periods : int
-        Length of a window in periods of the lowest frequency. Several frequencies are told apart
-        if the window holds whole periods of their differences.
+        Length of a window in periods of the lowest frequency.
     least_amplitude : float
         Least amplitude of strain [1] at which there is a dither at all.
-
-    Raises
-    ------
-    ValueError
-        If no frequency, or one that is not positive, or two equal ones are given.
-
-    Examples
-    --------
-    >>> meter = ComplexModulusMeter([1.0], periods=2)
-    >>> time = [0.01 * n for n in range(202)]
-    >>> strain = [0.1 + 0.01 * math.sin(2 * math.pi * t) for t in time]
-    >>> stress = [50.0 + 4.0 * math.sin(2 * math.pi * t + 0.2) for t in time]
-    >>> found = [m for s in zip(time, strain, stress) for m in meter.add(*s)]
-    >>> round(found[0].storage, 6), round(found[0].loss, 6)
-    (392.026631, 79.467732)
     """
 
     def __init__(
@@ -107,10 +88,9 @@ class ComplexModulusMeter:
         periods: int = 4,
         least_amplitude: float = LEAST_AMPLITUDE,
     ) -> None:
-        if not frequencies or min(frequencies) <= 0.0 or periods < 1:
-            raise ValueError("give positive frequencies in Hz, and at least 1 period")
-        if len(set(frequencies)) < len(frequencies):
-            raise ValueError("each frequency can be given once only")
+        is_positive = bool(frequencies) and min(frequencies) > 0.0 and periods > 0
+        if not is_positive or len(set(frequencies)) < len(frequencies):
+            raise ValueError("give positive frequencies in Hz, each once, and at least 1 period")
         self.angular_frequencies = 2.0 * math.pi * np.array(sorted(frequencies), dtype=float)
         self.window = periods / min(frequencies)
         self._least_samples = _SAMPLES_PER_PERIOD * self.window * max(frequencies)
@@ -119,8 +99,6 @@ class ComplexModulusMeter:
         self._normal = np.zeros((size, size))
         self._moments = np.zeros((size, 2))
         self._powers = np.zeros(2)
-        self._row = np.empty(size)
-        self._signals = np.empty(2)
         self._start = self._stop = math.nan
         self._samples = 0
 
@@ -152,21 +130,18 @@ class ComplexModulusMeter:
         since = time - self._start
         place = 2.0 * since / self.window - 1.0
         angles = self.angular_frequencies * since
-        row = self._row
-        row[0], row[1], row[2] = 1.0, place, place * place
-        np.cos(angles, out=row[_TREND::2])
-        np.sin(angles, out=row[_TREND + 1 :: 2])
+        waves = np.stack([np.cos(angles), np.sin(angles)], axis=1).ravel()
+        row = np.concatenate([[1.0, place, place * place], waves])
         # About the first sample, so that a large mean costs no digits.
-        self._signals[0], self._signals[1] = strain - self._offset[0], stress - self._offset[1]
+        signals = np.array([strain - self._offset[0], stress - self._offset[1]])
         self._normal += np.outer(row, row)
-        self._moments += np.outer(row, self._signals)
-        self._powers += self._signals**2
+        self._moments += np.outer(row, signals)
+        self._powers += signals**2
         self._samples += 1
         return results
 
     def _solve(self) -> list[ComplexModulus]:
-        size = self._row.size
-        dof = self._samples - size
+        dof = self._samples - len(self._normal)
         if self._samples < self._least_samples or dof < 1:
             return []
         try:

@@ -3,14 +3,12 @@
 
 r"""Stiffness of the place under a palpating probe, from one window of palpation after another.
 
-A window gives the phasors of displacement and force, X and F, and with them the complex stiffness
-:math:`k = F / X` with a variance :math:`\sigma^2 / |X|^2`. Of sigma nothing is taken for granted:
-surface motion, drift and a place that changes scatter k from window to window, and that scatter is
-what is measured. How fast k changes along the path is not known either. So several dynamic linear
-models run side by side (West and Harrison, Bayesian Forecasting and Dynamic Models, 1997, ch. 4
-and 12): each discounts what older windows say by its own factor, learns sigma with an
-inverse-gamma law, and counts by how well it has foretold the latest windows. The posterior is a
-mixture of Student's t; its mean and covariance come out. A window costs constant time and memory.
+A window gives the complex stiffness :math:`k = F / X` with a variance :math:`\sigma^2 / |X|^2`.
+Surface motion, drift and a place that changes scatter k from window to window: that scatter is
+what is measured. Several dynamic linear models run next to each other (West and Harrison, Bayesian
+Forecasting and Dynamic Models, 1997, ch. 4 and 12): each discounts older windows by its own
+factor, learns sigma with an inverse-gamma law, and counts by how well it predicted the latest
+windows. The posterior is a mixture of Student's t. A window costs constant time and memory.
 """
 
 from __future__ import annotations
@@ -23,21 +21,17 @@ import numpy as np
 from fden_ros.core.arrays import Array
 
 #: Part of its weight that a window keeps when the next one comes, a model each: memories of
-#: 33, 6, 2.5 windows, and of the newest alone.
+#: 33, 6, 2.5 windows, and of the newest alone. The same of the scatter and of the evidence.
 _DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
-#: Part of the scatter's weight that remains at each window: a memory of 20 windows.
-_SCATTER_DISCOUNT = 0.95
-#: Part of the evidence that remains at each window, and the least weight of a model.
-_EVIDENCE_DISCOUNT, _LEAST_WEIGHT = 0.85, 0.005
-#: Degrees of freedom with which the scatter of the first window is believed, and multiple of
-#: its white noise that is expected: what is not white is most of it.
-_FIRST_FREEDOM, _COLOUR = 1.0, 3.0
-#: A window enters the scatter as at most this normalised square beyond that of the model it
-#: surprises least: an edge that is crossed is no noise for all time.
+_SCATTER_DISCOUNT, _EVIDENCE_DISCOUNT = 0.95, 0.85
+#: Least weight of a model.
+_LEAST_WEIGHT = 0.005
+#: Degrees of freedom with which the scatter of the first window is believed, multiple of its white
+#: noise that is expected, and least for a standard deviation, after four windows.
+_FIRST_FREEDOM, _COLOUR, _LEAST_FREEDOM = 1.0, 3.0, 3.5
+#: A window enters the scatter as at most this normalised square beyond that of the model that it
+#: fits best: an edge that is crossed is no noise for all time.
 _MOST_SQUARE = 5.0
-#: Least degrees of freedom for a standard deviation, after four windows: a t has a variance above
-#: 2.
-_LEAST_FREEDOM = 3.5
 
 
 class Stiffness(NamedTuple):
@@ -67,22 +61,15 @@ class LocalStiffness:
         self._log_weights = np.zeros(count)
 
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
-        """Take a window.
-
-        `stiffness` is F / X [N/m], `amplitude` |X| [m], positive, and `sd` the standard deviation
-        of either part of the stiffness by the white noise alone [N/m].
-        """
+        """Take a window: F / X [N/m], |X| [m], and the deviation by white noise alone [N/m]."""
         information = amplitude**2
-        if self.windows == 0:
+        self.windows += 1
+        if self.windows == 1:
             self._mean[:] = stiffness
             self._precision[:] = information
             self._freedom = _FIRST_FREEDOM
             self._squares[:] = _FIRST_FREEDOM * (_COLOUR * sd * amplitude) ** 2 + 1e-300
-        else:
-            self._learn(stiffness, information)
-        self.windows += 1
-
-    def _learn(self, stiffness: complex, information: float) -> None:
+            return
         precision = _DISCOUNTS * self._precision
         freedom = _SCATTER_DISCOUNT * self._freedom
         squares = _SCATTER_DISCOUNT * self._squares

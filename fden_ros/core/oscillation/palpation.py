@@ -9,9 +9,7 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
    \alpha = \tfrac{2}{\pi} \arg k .
 
 What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction adds
-4/(pi |X|) to its imaginary part. The law's own error counts from 1/omega to tau. A relaxation
-leads by alpha times 90 degrees, a lag of a clock by omega tau: with a larger phase than tissue has
-nothing is known.
+4/(pi |X|) to its imaginary part. With a larger phase than tissue has nothing is known.
 """
 
 from __future__ import annotations
@@ -45,11 +43,9 @@ _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
 #: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
 #: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
 _LARGEST_ORDER, _STATED = 0.35, 2.0
-#: Periods of a window, and harmonics that are fitted with the trend: with one period, or without
-#: the second harmonic, the harmonics of a nonlinear tissue pass for trend.
-_PERIODS, _HARMONICS = 2, (1.0, 2.0)
-#: What a window shows is current for this many windows.
-_CURRENT = 2.5
+#: Periods of a window, harmonics fitted with the trend, without which those of a nonlinear
+#: tissue pass for it, and for how many windows a result is current.
+_PERIODS, _HARMONICS, _CURRENT = 2, (1.0, 2.0), 2.5
 
 
 class Palpated(NamedTuple):
@@ -76,10 +72,7 @@ def palpated(
     config: EstimatorConfig,
     samples: int,
 ) -> Palpated | None:
-    """Return what a complex stiffness shows; None where it is not above 0.
-
-    `angular_frequency` and `amplitude` are of the palpation [rad/s, m], `time_scale` is tau [s].
-    """
+    """Return what a complex stiffness shows for a motion of tau [s]; None: it is not above 0."""
     if stiffness.value.real <= _NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
@@ -98,16 +91,16 @@ def palpated(
     slope = np.array([1.0, float(digamma(1.0 - order)) - lag])
     apparent = math.exp(log_size - order * lag) / math.gamma(1.0 - order)
     kernel = kernel_change(config.uncertainty.kernel_sd, abs(lag))
-    variance = float(slope @ covariance @ slope) + kernel
+    sd = apparent * math.sqrt(max(float(slope @ covariance @ slope) + kernel, 0.0))
     own_sd = math.sqrt(max(float(measured[1, 1]), 0.0))
+    # Where alpha is given, only a lag is too much.
+    variance = max(float(covariance[1, 1]), 0.0)
+    reach = math.inf if config.is_order_given else EDGE * math.sqrt(variance)
     is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
-    estimate = _estimate(
-        *(float(order), float(covariance[1, 1]), own_order), config, samples, is_lag=is_lag
-    )
-    if estimate.at_edge:
-        return Palpated(whole, None, estimate)
-    sd = apparent * math.sqrt(max(variance, 0.0))
-    return Palpated(whole, ApparentStiffness(apparent, sd, time_scale), estimate)
+    is_tissue = _LOWEST_ORDER - reach <= own_order <= _HIGHEST_ORDER + reach and not is_lag
+    estimate = _estimate(float(order), variance, config, samples, is_tissue)
+    found = ApparentStiffness(apparent, sd, time_scale) if is_tissue else None
+    return Palpated(whole, found, estimate)
 
 
 def _with_rig(
@@ -125,25 +118,14 @@ def _with_rig(
 
 
 def _estimate(
-    order: float,
-    variance: float,
-    own_order: float,
-    config: EstimatorConfig,
-    samples: int,
-    *,
-    is_lag: bool,
+    order: float, variance: float, config: EstimatorConfig, samples: int, is_tissue: bool
 ) -> Estimate:
-    """Return the prior with the alpha that was found; beyond its edge nothing is known."""
-    prior, deviation = config.prior, math.sqrt(max(variance, 0.0))
+    """Return the prior with the alpha that was found; nothing is known of what is no tissue's."""
+    prior, alpha = config.prior, ParameterSet.FRACTIONAL_ORDER
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
     deviations = np.sqrt(covariance.diagonal())
-    lowest, highest = own_order - EDGE * deviation, own_order + EDGE * deviation
-    is_beyond = highest < _LOWEST_ORDER or lowest > _HIGHEST_ORDER
-    is_beyond = is_lag or (is_beyond and not config.is_order_given)
-    valid = ParameterSet.NONE
-    if not is_beyond:
-        valid = determined(config, deviations, 0.0) & ParameterSet.FRACTIONAL_ORDER
+    valid = determined(config, deviations, 0.0) & alpha if is_tissue else ParameterSet.NONE
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
@@ -151,7 +133,7 @@ def _estimate(
         covariance=covariance,
         observable=valid,
         known=converged(config, deviations, valid),
-        at_edge=ParameterSet.FRACTIONAL_ORDER if is_beyond else ParameterSet.NONE,
+        at_edge=ParameterSet.NONE if is_tissue else alpha,
         sample_count=samples,
     )
 
@@ -170,14 +152,8 @@ def _sentence(value: complex, angular_frequency: float) -> str:
 class PalpationMeter:
     """Follows stiffness and alpha, sample by sample.
 
-    Parameters
-    ----------
-    frequency : float or None
-        Of the palpation [Hz]; None: it is found.
-    least_amplitude : float
-        Amplitude of the displacement [m] below which there is no palpation.
-    time_scale : float
-        tau of the apparent stiffness [s].
+    `frequency` is stated [Hz], or found; below `least_amplitude` [m] nothing palpates;
+    `time_scale` is tau of the apparent stiffness [s].
     """
 
     def __init__(

@@ -16,42 +16,28 @@ from fden_ros.core.arrays import Array
 _RATE = 32.0
 _MOST, _LEAST, _EVERY = 256, 96, 16
 #: Palpation lies within these [Hz], and has been seen for 3 periods.
-_SLOWEST, _FASTEST = 0.4, 5.0
-_PERIODS = 3.0
-#: Points of the spectrum, with zeros: steps of 1/64 Hz.
-_POINTS = 2048
-#: The velocity of a palpation has this share of its power in one peak.
-_LEAST_SHARE = 0.5
-#: Another frequency is taken when it differs by this share: two periods are still told from
-#: the trend.
-_CHANGE = 0.04
+_SLOWEST, _FASTEST, _PERIODS = 0.4, 5.0, 3.0
+#: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
+#: of its power in one peak; another frequency is taken when it differs by this share.
+_POINTS, _LEAST_SHARE, _CHANGE = 2048, 0.5, 0.04
 
 
 class PalpationFrequency:
     """Finds the frequency of an oscillation that dominates the velocity."""
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all samples."""
         self.value: float | None = None  #: the frequency [Hz]; None while nothing oscillates
         self._ring = np.zeros(_MOST)
         self._count = 0
-        self._start = self._time = self._displacement = 0.0
-        self._begun = False
+        self._start: float | None = None
+        self._time = self._displacement = 0.0
 
     def add(self, time: float, displacement: float) -> None:
         """Take a sample at a time [s]; times increase."""
-        if self._begun and time - self._time > _MOST / _RATE:
+        if self._start is None or time - self._time > _MOST / _RATE:
             # Nothing that is remembered lies within the window before it.
-            self.reset()
-        if not self._begun:
-            self._start, self._begun = time, True
-        while True:
-            instant = self._start + self._count / _RATE
-            if instant > time:
-                break
+            self.value, self._count, self._start = None, 0, time
+        while (instant := self._start + self._count / _RATE) <= time:
             share = (instant - self._time) / (time - self._time) if self._count else 1.0
             step = displacement - self._displacement
             self._ring[self._count % _MOST] = self._displacement + share * step
@@ -61,27 +47,14 @@ class PalpationFrequency:
         self._time, self._displacement = time, displacement
 
     def _look(self) -> None:
-        found = dominant_frequency(self._recent(), _RATE)
-        present = self.value
+        recent = np.roll(self._ring, -(self._count % _MOST))[-self._count :]
+        found, present = dominant_frequency(recent, _RATE), self.value
         if found is None or present is None or abs(found / present - 1.0) > _CHANGE:
             self.value = found
 
-    def _recent(self) -> Array:
-        if self._count < _MOST:
-            return self._ring[: self._count]
-        return np.roll(self._ring, -(self._count % _MOST))
-
 
 def dominant_frequency(values: Array, rate: float) -> float | None:
-    """Return the frequency [Hz] that dominates the change of evenly spaced values, or None.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Displacements [any unit].
-    rate : float
-        Of the samples [Hz].
-    """
+    """Return the frequency [Hz] that dominates the change of values (n,) at a `rate` [Hz]."""
     velocity = np.diff(values)
     velocity -= velocity.mean()
     power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2

@@ -3,7 +3,7 @@
 
 """Samples of two streams in, pairs out: checked, synchronised, the tool's weight taken off."""
 
-from fden_ros.core.streams.frames import FramesConfig, StaticLinks, chain_up
+from fden_ros.core.streams.frames import FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import (
     USUAL_SAMPLES,
     GapGuard,
@@ -49,7 +49,6 @@ __all__ = [
     "ToolWeight",
     "Transform",
     "Vector",
-    "chain_up",
     "force_at_limit",
     "lateral_distance",
     "normalised",

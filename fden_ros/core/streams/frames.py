@@ -9,11 +9,10 @@ displacement: :class:`~fden_ros.core.streams.join.Join`. A link that is static h
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from fden_ros.core.streams.join import Around, Join, Matched
+from fden_ros.core.streams.join import Around, Join
 from fden_ros.core.streams.rotation import (
     Transform,
     Vector,
@@ -21,14 +20,9 @@ from fden_ros.core.streams.rotation import (
     dot,
     normalised,
     rotate,
-    slerp,
 )
 from fden_ros.core.streams.samples import Reason
 from fden_ros.core.streams.tool import ToolWeight
-
-#: Samples of a link are kept up to this number, the newest, while it is not known which links
-#: count.
-_MOST_KEPT = 2000
 
 
 @dataclass(frozen=True)
@@ -51,15 +45,8 @@ class FramesConfig:
 
 #: By the name of a frame, its parent and where it is in it, at all times.
 StaticLinks = dict[str, tuple[str, Transform]]
-
-
-class _Link:
-    """The moving place of a frame in its parent."""
-
-    def __init__(self, parent: str) -> None:
-        self.parent = parent
-        self.kept: deque[tuple[int, Transform]] = deque(maxlen=_MOST_KEPT)
-        self.join: Join | None = None
+#: By the name of a frame that moves, where it is in its parent at an instant.
+Moving = dict[str, Transform]
 
 
 class Frames:
@@ -76,41 +63,38 @@ class Frames:
     def __init__(
         self, config: FramesConfig, make_join: Callable[[], Join], statics: StaticLinks
     ) -> None:
-        self._config, self._make_join = config, make_join
-        self._statics = statics
-        self._links: dict[str, _Link] = {}
+        self._config, self._make_join, self._statics = config, make_join, statics
+        #: By the name of a frame that moves, its parent and what waits for its transforms.
+        self._links: dict[str, tuple[str, Join]] = {}
         self._force_frame: str | None = None
-        #: Of the links that count, in order; empty until all are known, and where all are static.
-        self.joins: list[Join] = []
         self.is_known = False  #: whether each frame that counts leads to the base
-        #: Which links count, in order.
-        self._chain: tuple[str, ...] = ()
+        #: The links that count, in order; empty until all are known, and where all are static.
+        self._chain: dict[str, Join] = {}
         #: By a frame, its ancestors below the one that it has in common with the base, and the
         #: base's.
         self._chains: dict[str, tuple[list[str], list[str]]] = {}
 
     @property
-    def kept(self) -> int:
-        """How many transforms are kept until it is known which links count."""
-        return sum(len(link.kept) for link in self._links.values())
+    def joins(self) -> list[Join]:
+        """What forces wait for, in order."""
+        return list(self._chain.values())
 
     @property
-    def missing(self) -> str:
-        """The frame that no transform leads to the base from; empty: they all do."""
-        if self.is_known or self._force_frame is None:
-            return ""
-        found = self._ancestors(self._config.base)[-1]
-        return next((f for f in self._wanted() if self._ancestors(f)[-1] != found), "")
+    def kept(self) -> int:
+        """How many transforms, and forces that wait for them, are kept."""
+        return sum(join.waiting for _, join in self._links.values())
 
     @property
     def problem(self) -> str:
         """What is wrong where a frame does not lead to the base, in words; or empty."""
-        missing = self.missing
+        if self.is_known or self._force_frame is None:
+            return ""
+        root = self._ancestors(self._config.base)[-1]
+        missing = next((f for f in self._wanted() if self._ancestors(f)[-1] != root), "")
         if not missing:
             return ""
-        links = {child: link.parent for child, link in self._links.items()}
-        links |= {child: parent for child, (parent, _) in self._statics.items()}
-        known = ", ".join(sorted({*links, *links.values()})) or "none"
+        links = {**self._links, **self._statics}
+        known = ", ".join(sorted({*links, *(parent for parent, _ in links.values())})) or "none"
         return (
             f"no chain of transforms leads from {missing} to {self._config.base}: /tf and "
             f"/tf_static name {known}; set frames.base and frames.probe to frames that are "
@@ -121,29 +105,25 @@ class Frames:
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
     ) -> str | None:
         """Take where a frame is in its parent; return why it is rejected, or None."""
-        link, static = self._links.get(child), self._statics.get(child)
-        known = link.parent if link is not None else static[0] if static is not None else parent
-        if known != parent or parent == child or (is_static and link is not None):
+        known, is_moving = self._parent_of(child), child in self._links
+        if parent == child or known not in (None, parent) or (is_static and is_moving):
             return Reason.OTHER_PARENT
+        if not is_static and child in self._statics:
+            return Reason.OTHER_PARENT
+        place, turn = transform
         try:
-            transform = Transform(transform.translation, normalised(transform.rotation))
+            turn = normalised(turn)
         except ValueError:
             return Reason.NON_FINITE
         if is_static:
-            if static is None:
-                self._statics[child] = (parent, transform)
-                self._resolve()
-            return None
-        if static is not None:
-            return Reason.OTHER_PARENT
-        if link is None:
-            link = self._links[child] = _Link(parent)
-            link.kept.append((stamp_ns, transform))
+            self._statics.setdefault(child, (parent, Transform(place, turn)))
+        elif not is_moving:
+            self._links[child] = parent, self._make_join()
+        if known is None:
             self._resolve()
-        elif not self.is_known:
-            link.kept.append((stamp_ns, transform))
-        elif link.join is not None:
-            self._follow(link, stamp_ns, transform)
+        if not is_static and (child in self._chain or not self.is_known):
+            x, y, z = place
+            self._links[child][1].follow(stamp_ns, x + y + z, place, 0.0, turn)
         return None
 
     def name_force(self, frame: str) -> None:
@@ -163,8 +143,8 @@ class Frames:
         return chain_up(frame, self._parent_of)
 
     def _parent_of(self, frame: str) -> str | None:
-        link, static = self._links.get(frame), self._statics.get(frame)
-        return link.parent if link is not None else static[0] if static is not None else None
+        link = self._links.get(frame) or self._statics.get(frame)
+        return link[0] if link is not None else None
 
     def _resolve(self) -> None:
         """Find the links between the frames, once each leads to the base."""
@@ -180,47 +160,42 @@ class Frames:
             chains[frame] = own[: own.index(common)], base[: base.index(common)]
         frames = dict.fromkeys(f for chain in chains.values() for part in chain for f in part)
         self._chains = chains
-        self._chain = tuple(frame for frame in frames if frame in self._links)
+        self._chain = {frame: self._links[frame][1] for frame in frames if frame in self._links}
         self.is_known = True
-        for child in self._chain:
-            join = self._links[child].join = self._make_join()
-            self.joins.append(join)
-        for child, link in self._links.items():
-            kept, link.kept = link.kept, deque(maxlen=1)
-            if child in self._chain:
-                for stamp_ns, transform in kept:
-                    self._follow(link, stamp_ns, transform)
-
-    def _follow(self, link: _Link, stamp_ns: int, transform: Transform) -> None:
-        assert link.join is not None
-        place, turn = transform
-        x, y, z = place
-        link.join.follow(stamp_ns, x + y + z, place, turn=turn)
 
     # At an instant
 
-    def probe(self, matched: Matched) -> Transform:
-        """Return where the probe is in the base, by the transforms of the joins."""
-        return self._in_base(self._config.probe, self._moving(matched))
+    def moving(self, matched: Sequence[Around]) -> Moving:
+        """Return where the frames of the joins are in their parents."""
+        return {frame: one.transform for frame, one in zip(self._chain, matched, strict=True)}
 
-    def force_along(self, force: Vector, matched: Matched) -> float:
+    def probe(self, moving: Moving) -> Transform:
+        """Return where the probe is in the base."""
+        return self._in_base(self._config.probe, moving)
+
+    def depth(self, probe: Transform) -> float:
+        """Return the displacement of a place of the probe [m]."""
+        return dot(self._config.displacement_axis, probe.translation)
+
+    def weight(self, probe: Transform) -> float:
+        """Return the tool's weight along the force's axis in the probe's own frame [N]."""
+        return self._config.tool.load(probe.rotation) if self._config.tool is not None else 0.0
+
+    def force_along(self, force: Vector, moving: Moving) -> float:
         """Return a force along the axis, less the tool's weight [N]."""
         config = self._config
-        turn = self._in_base(self._force_frame or "", self._moving(matched)).rotation
+        turn = self._in_base(self._force_frame or "", moving).rotation
         net = dot(config.force_axis, rotate(turn, force))
         if config.tool is None:
             return net
         return net - config.tool.load(turn, rotate(conjugate(turn), config.force_axis))
 
-    def _moving(self, matched: Matched) -> dict[str, Transform]:
-        return dict(zip(self._chain, map(between, matched), strict=True))
-
-    def _in_base(self, frame: str, moving: dict[str, Transform]) -> Transform:
+    def _in_base(self, frame: str, moving: Moving) -> Transform:
         """Return where a frame is in the base."""
         own, base = (self._up(chain, moving) for chain in self._chains[frame])
         return base.inverse().then(own)
 
-    def _up(self, chain: list[str], moving: dict[str, Transform]) -> Transform:
+    def _up(self, chain: list[str], moving: Moving) -> Transform:
         found = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for child in chain:
             link = moving[child] if child in moving else self._statics[child][1]
@@ -234,12 +209,3 @@ def chain_up(frame: str, parent_of: Callable[[str], str | None]) -> list[str]:
     while (parent := parent_of(chain[-1])) is not None and parent not in chain:
         chain.append(parent)
     return chain
-
-
-def between(around: Around) -> Transform:
-    """Return place and turn at an instant: the place linear, the turn at a constant rate."""
-    position, before, after = around.position, around.before.turn, around.after.turn
-    assert position is not None and before is not None and after is not None
-    if around.after is around.before:
-        return Transform(position, before)
-    return Transform(position, slerp(before, after, around.fraction))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 
 from fden_ros.core.streams.rotation import Quaternion, angle
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
@@ -17,44 +18,6 @@ _TOLERANCE = 0.01
 _ROUNDING = 1e-9
 #: A signal that changes by the same amount in 4 samples in a row is a ramp without noise.
 _RAMP = 4
-
-
-class Resolution:
-    """The step of a signal whose changes are all whole numbers of it."""
-
-    def __init__(self) -> None:
-        self._step = 0.0
-        self._last: float | None = None
-        self._last_change = 0.0
-        self._alike = 0  # changes in a row that are the same
-        self._is_continuous = False
-
-    @property
-    def step(self) -> float:
-        """The step; 0: the signal is continuous, or not known."""
-        return self._step if self._alike < _RAMP else 0.0
-
-    def add(self, value: float) -> None:
-        """Take a value."""
-        if self._is_continuous:
-            return
-        last, self._last = self._last, value
-        if last is None:
-            return
-        change = value - last
-        if abs(change) <= _ROUNDING * max(abs(value), abs(last)):
-            self._alike = 0
-            return
-        is_like = abs(change - self._last_change) < _TOLERANCE * abs(change)
-        self._alike = self._alike + 1 if is_like else 1
-        self._last_change = change
-        size, step = abs(change), self._step or abs(change)
-        self._step = min(size, step)
-        ratio = max(size, step) / self._step
-        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > _TOLERANCE:
-            self._step, self._is_continuous = 0.0, True
-
-
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
 _MIN_STEP_NS = 10_000
 #: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
@@ -92,12 +55,48 @@ def force_at_limit(rejected: Counter[str]) -> int:
     return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]
 
 
+class Resolution:
+    """The step of a signal whose changes are all whole numbers of it."""
+
+    def __init__(self) -> None:
+        self._step = 0.0
+        self._last: float | None = None
+        self._last_change = 0.0
+        self._alike = 0  # changes in a row that are the same
+        self._is_continuous = False
+
+    @property
+    def step(self) -> float:
+        """The step; 0: the signal is continuous, or not known."""
+        return self._step if self._alike < _RAMP else 0.0
+
+    def add(self, value: float) -> None:
+        """Take a value."""
+        if self._is_continuous:
+            return
+        last, self._last = self._last, value
+        if last is None:
+            return
+        change = value - last
+        size = abs(change)
+        if size <= _ROUNDING * max(abs(value), abs(last)):
+            self._alike = 0
+            return
+        is_like = abs(change - self._last_change) < _TOLERANCE * size
+        self._alike = self._alike + 1 if is_like else 1
+        self._last_change = change
+        step = self._step or size
+        self._step = min(size, step)
+        ratio = max(size, step) / self._step
+        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > _TOLERANCE:
+            self._step, self._is_continuous = 0.0, True
+
+
 class UsualStep:
     """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
 
-    The larger of the mean of all steps and of the shorter one of the last two.
-
-    The mean is exponential, over so many `samples`.
+    The larger of the mean of all steps, which is exponential over so many `samples`, and of the
+    shorter one of the last two.
     """
 
     def __init__(self, samples: int) -> None:
@@ -113,9 +112,9 @@ class UsualStep:
         mean_ns = self._mean_ns or step_ns
         growth_ns = min(step_ns, _MOST_GROWTH * mean_ns) - mean_ns
         self._mean_ns = mean_ns + self._gain * growth_ns
-        self.see(step_ns)
+        self.add_pause(step_ns)
 
-    def see(self, step_ns: float) -> None:
+    def add_pause(self, step_ns: float) -> None:
         """Take a step that may be a pause: two of them in a row are usual, the mean stays."""
         self.value_ns = max(self._mean_ns, min(self._last_ns, step_ns))
         self._last_ns = step_ns
@@ -132,28 +131,19 @@ class StreamGuard:
     def __init__(
         self, limit: float, rejected: Counter[str], name: str, *, is_vector: bool = False
     ) -> None:
-        self._limit = limit
-        self._is_vector = is_vector
-        self._rejected = rejected
-        self._name = name
-        self.epoch = 0
-        self.epoch_start_ns = 0
+        self._limit, self._is_vector = limit, is_vector
+        self._rejected, self._name = rejected, name
+        self.epoch = self.epoch_start_ns = 0
         self._newest_ns: int | None = None
         self._newest_epoch = 0
         self._held: Sample | None = None
-        self._late_run = 0
-        self._late_newest_ns = 0
+        self._late_run = self._late_newest_ns = 0
         self._usual = UsualStep(USUAL_SAMPLES)
-        self._values = ValueGuard(limits_runs=name == "force", is_vector=is_vector)
+        self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: samples that were
         self.too_close = 0  #: samples within 10 us of the last that are not copies of it
-
-    @property
-    def resolution(self) -> float:
-        """The step in which the values come; 0: continuous, not known, or not the values count."""
-        return 0.0 if self._is_vector else self._values.resolution
 
     @property
     def accepted(self) -> int:
@@ -174,6 +164,10 @@ class StreamGuard:
         """Count one rejected sample."""
         self._rejected[f"{self._name}.{reason}"] += 1
 
+    def join_epoch(self, epoch: int, start_ns: int) -> None:
+        """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
+        self.epoch, self.epoch_start_ns = epoch, start_ns
+
     def accept(
         self,
         stamp_ns: int,
@@ -181,44 +175,28 @@ class StreamGuard:
         position: Position | None = None,
         load: float = 0.0,
         turn: Quaternion | None = None,
-    ) -> tuple[Sample, ...]:
+    ) -> list[Sample]:
         """Check a sample; return those accepted now: none, this one, or a held one and this."""
-        if not math.isfinite(value + load) or not all(map(math.isfinite, position or ())):
+        if not math.isfinite(value + load) or (
+            position is not None and not all(map(math.isfinite, position))
+        ):
             self.reject(Reason.NON_FINITE)
-            return ()
+            return []
         size = math.hypot(*position) if self._is_vector and position is not None else abs(value)
         if size > self._limit:
             self.reject(Reason.OUT_OF_RANGE)
             self.too_large += 1
             self.largest = max(self.largest, size)
-            return ()
+            return []
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
-            return ()
+            return []
         usual_ns = self._usual.value_ns
         sample = Sample(self.epoch, stamp_ns, value, position, load, usual_ns, turn)
-        accepted = self._by_stamp(sample)
-        return self._by_value(accepted) if accepted else ()
-
-    def _by_stamp(self, sample: Sample) -> tuple[Sample, ...]:
-        if self._newest_ns is None:
-            return self._take(sample)
-        if self._held is not None:
-            return self._after_held(self._held, sample)
-        return self._in_order(sample)
-
-    def _by_value(self, samples: tuple[Sample, ...]) -> tuple[Sample, ...]:
-        accepted: list[Sample] = []
-        for sample in samples:
-            for judged, reason in self._values.judge(sample):
-                if reason is None:
-                    resolution = self.resolution
-                    if judged.resolution != resolution:
-                        judged = judged._replace(resolution=resolution)
-                    accepted.append(judged)
-                else:
-                    self.reject(reason)
-        return tuple(accepted)
+        in_time = self._in_order(sample) if self._held is None else self._after_held(sample)
+        if len(in_time) == 1:
+            return self._values.judge(in_time[0])
+        return [one for sample in in_time for one in self._values.judge(sample)]
 
     def _take(self, *samples: Sample) -> tuple[Sample, ...]:
         # A sample that begins an epoch has no step.
@@ -232,7 +210,8 @@ class StreamGuard:
         return samples
 
     def _in_order(self, sample: Sample) -> tuple[Sample, ...]:
-        assert self._newest_ns is not None
+        if self._newest_ns is None:
+            return self._take(sample)
         step = sample.stamp_ns - self._newest_ns
         # Taken at once, a stray stamp a little ahead would make all that come after it late.
         usual_ns = self._usual.value_ns
@@ -251,20 +230,17 @@ class StreamGuard:
                 self.too_close += 1
                 self._close_ns += step
             return ()
-        return self._late(sample)
-
-    def _late(self, sample: Sample) -> tuple[Sample, ...]:
-        in_order = sample.stamp_ns > self._late_newest_ns
-        self._late_run = self._late_run + 1 if in_order or self._late_run == 0 else 1
+        is_in_order = sample.stamp_ns > self._late_newest_ns
+        self._late_run = self._late_run + 1 if is_in_order or self._late_run == 0 else 1
         self._late_newest_ns = sample.stamp_ns
         if self._late_run < _LATE_RUN:
             self.reject(Reason.LATE_STAMP)
             return ()
         return self._take(self._next_epoch(sample))
 
-    def _after_held(self, held: Sample, sample: Sample) -> tuple[Sample, ...]:
-        assert self._newest_ns is not None
-        self._held = None
+    def _after_held(self, sample: Sample) -> tuple[Sample, ...]:
+        held, self._held = self._held, None
+        assert held is not None and self._newest_ns is not None
         is_ahead = held.stamp_ns > self._newest_ns
         own_ns = _FAR_STEPS * (held.stamp_ns - self._newest_ns) if is_ahead else 0.0
         far = max(NANOSECONDS, _SLOW_FAR_STEPS * self._usual.value_ns, own_ns)
@@ -282,11 +258,6 @@ class StreamGuard:
         self.join_epoch(self.epoch + 1, sample.stamp_ns)
         return sample._replace(epoch=self.epoch)
 
-    def join_epoch(self, epoch: int, start_ns: int) -> None:
-        """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
-        self.epoch = epoch
-        self.epoch_start_ns = start_ns
-
 
 class ValueGuard:
     """Tell measured values from spikes and from those of a sensor that is stuck.
@@ -295,21 +266,14 @@ class ValueGuard:
     it `is_vector`, positions and turns count, not values.
     """
 
-    def __init__(self, limits_runs: bool, is_vector: bool = False) -> None:
-        self._limits_runs = limits_runs
-        self._is_vector = is_vector
+    def __init__(self, reject: Callable[[str], None], limits_runs: bool, is_vector: bool) -> None:
+        self._reject, self._limits_runs, self._is_vector = reject, limits_runs, is_vector
         self._last: Sample | None = None
         self._held: Sample | None = None
         self._usual_change = 0.0
         self._changes = 0
-        self._run = 1
-        self._longest_run = 1
+        self._run = self._longest_run = 1
         self._resolution = Resolution()
-
-    @property
-    def resolution(self) -> float:
-        """The step in which the values come; 0: continuous, or not known."""
-        return self._resolution.step
 
     @property
     def is_stuck(self) -> bool:
@@ -321,44 +285,47 @@ class ValueGuard:
             and self._usual_change >= _FINE_STEPS * self._resolution.step
         )
 
-    def judge(self, sample: Sample) -> list[tuple[Sample, str | None]]:
-        """Return the samples that are now judged, each with the reason to reject it, or None.
+    def judge(self, sample: Sample) -> list[Sample]:
+        """Return the samples that are now known to be good.
 
         A value more than 12 mean changes from the last is held back until the next tells a spike
         from a step.
         """
-        last, held = self._last, self._held
-        judged: list[tuple[Sample, str | None]] = []
+        last, held, self._held = self._last, self._held, None
         if last is None or last.epoch != sample.epoch:
-            self._held = None
             self._last = sample
             self._run = 1
-            return [(held, None), (sample, None)] if held is not None else [(sample, None)]
+            return [held, sample] if held is not None else [sample]
         change = self._distance(last, sample)
         if held is not None:
-            self._held = None
             if change >= 0.5 * self._distance(last, held):
-                return [(held, self._follow(last, held)), (sample, self._follow(held, sample))]
-            judged.append((held, Reason.SPIKE))
+                first = self._follow(self._distance(last, held), held)
+                return [*first, *self._follow(self._distance(held, sample), sample)]
+            self._reject(Reason.SPIKE)
         if self._changes >= USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
             self._held = sample
-            return judged
-        judged.append((sample, self._follow(last, sample)))
-        return judged
+            return []
+        return self._follow(change, sample)
 
-    def _follow(self, last: Sample, sample: Sample) -> str | None:
+    def _follow(self, change: float, sample: Sample) -> list[Sample]:
         self._last = sample
         self._resolution.add(sample.value)
-        change = self._distance(last, sample)
         if change > 0.0:
             self._changes += 1
-            self._learn(change)
-            if not self.is_stuck:
-                self._longest_run = max(self._longest_run, self._run)
+            # Only of changes: a coarse signal stands still most of the time.
+            usual = self._usual_change or change
+            growth = min(change, _MOST_GROWTH * usual) - usual
+            self._usual_change = usual + growth / USUAL_SAMPLES
+            if self._run > self._longest_run and not self.is_stuck:
+                self._longest_run = self._run
             self._run = 1
-            return None
-        self._run += 1
-        return Reason.STUCK if self.is_stuck else None
+        else:
+            self._run += 1
+            if self.is_stuck:
+                self._reject(Reason.STUCK)
+                return []
+        step = self._resolution.step
+        return [sample] if not step or self._is_vector else [sample._replace(resolution=step)]
 
     def _distance(self, a: Sample, b: Sample) -> float:
         if not self._is_vector or a.position is None or b.position is None:
@@ -368,28 +335,23 @@ class ValueGuard:
             return distance
         return distance + _LEVER * angle(a.turn, b.turn)
 
-    def _learn(self, change: float) -> None:
-        # Only of changes: a coarse signal stands still most of the time.
-        usual = self._usual_change or change
-        self._usual_change = usual + (min(change, _MOST_GROWTH * usual) - usual) / USUAL_SAMPLES
-
 
 class GapGuard:
     """Find gaps in a stream that has passed the other guards."""
 
     def __init__(self) -> None:
-        self.newest_ns: int | None = None
+        self._newest_ns: int | None = None
         self._usual = UsualStep(_GAP_SAMPLES)
 
     def step(self, stamp_ns: int) -> int:
         """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
-        previous_ns, self.newest_ns = self.newest_ns, stamp_ns
+        previous_ns, self._newest_ns = self._newest_ns, stamp_ns
         if previous_ns is None:
             return 0
         step_ns = stamp_ns - previous_ns
         usual_ns = self._usual.value_ns
         if usual_ns and step_ns > max(_FAR_STEPS * usual_ns, _GAP_NS):
-            self._usual.see(float(step_ns))
+            self._usual.add_pause(float(step_ns))
             return step_ns
         self._usual.add(float(step_ns))
         return 0

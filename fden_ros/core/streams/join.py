@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.rotation import Quaternion
-from fden_ros.core.streams.samples import Position, Sample
+from fden_ros.core.streams.rotation import Transform, slerp
+from fden_ros.core.streams.samples import NANOSECONDS, Position, Sample
 
 #: The noise of a stream is measured over its last 256 samples.
 NOISE_SAMPLES = 256
@@ -48,57 +47,23 @@ class Around(NamedTuple):
     @property
     def position(self) -> Position | None:
         """Position at the instant, linear in between; None where one of the two is not known."""
-        before, after, fraction = self
-        if before.position is None or after.position is None:
+        before, after, fraction = self.before.position, self.after.position, self.fraction
+        if before is None or after is None:
             return None
-        (x0, y0, z0), (x1, y1, z1) = before.position, after.position
+        (x0, y0, z0), (x1, y1, z1) = before, after
         return x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0), z0 + fraction * (z1 - z0)
+
+    @property
+    def transform(self) -> Transform:
+        """Place and turn at the instant: the place linear, the turn at a constant rate."""
+        position, before, after = self.position, self.before.turn, self.after.turn
+        assert position is not None and before is not None and after is not None
+        is_between = self.after is not self.before
+        return Transform(position, slerp(before, after, self.fraction) if is_between else before)
 
 
 #: Of the streams that a sample has been matched with so far, in order.
 Matched = tuple[Around, ...]
-
-
-@dataclass(frozen=True)
-class JoinLimits:
-    """How far a join looks; times in ns.
-
-    Parameters
-    ----------
-    unpaired, gap : str
-        Reasons to reject a leading sample: without a sample around it; in a gap.
-    """
-
-    #: Samples further apart than this, and than 2 usual steps of the leading stream, are not
-    #: interpolated between.
-    max_gap_ns: int
-    #: A sample waits at most this long, in stamps; or 4 usual steps of its stream, where they are
-    #: longer.
-    window_ns: int
-    delay_ns: int  #: the following stream's stamps lag the leading one's by this much
-    unpaired: str
-    gap: str
-
-
-class Passed:
-    """The newest samples of a stream that the pairs so far have left behind.
-
-    Pairs that wait for yet another stream leave samples behind too: those count from when the
-    pair is made, so that what is known at a pair does not depend on how long it waited.
-    """
-
-    def __init__(self) -> None:
-        self.samples: deque[Sample] = deque(maxlen=NOISE_SAMPLES)  #: the last 256
-        self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
-
-    def add(self, key: tuple[int, int], sample: Sample) -> None:
-        """Take a sample that was left behind by the leading sample of this epoch and stamp."""
-        self._ahead.append((key, sample))
-
-    def until(self, key: tuple[int, int]) -> None:
-        """Count what was left behind up to this epoch and stamp, of which a pair is made."""
-        while self._ahead and self._ahead[0][0] <= key:
-            self.samples.append(self._ahead.popleft()[1])
 
 
 class Join:
@@ -106,29 +71,40 @@ class Join:
 
     Parameters
     ----------
-    lead_guard : StreamGuard
-        Has accepted the leading samples, and counts those that are rejected here.
-    follow_guard : StreamGuard
-        Accepts the following ones.
+    times : tuple of float
+        Samples further apart than the first, and than 2 usual steps of the leading stream, are not
+        interpolated between. A sample waits at most for the second, in stamps, or 4 usual steps of
+        its stream. The stamps of the following stream lag by the third [s].
+    lead_guard, follow_guard : StreamGuard
+        The one has accepted the leading samples, and counts those that are rejected here; the
+        other accepts the following ones.
     on_match : callable
         Called in order with each leading sample and what it has been matched with, this stream
         last.
+    reasons : tuple of str
+        Of a leading sample without one around it, and of one in a gap.
     """
 
     def __init__(
         self,
-        limits: JoinLimits,
+        times: tuple[float, float, float],
         lead_guard: StreamGuard,
         follow_guard: StreamGuard,
         on_match: Callable[[Sample, Matched], None],
+        reasons: tuple[str, str],
     ) -> None:
-        self._limits = limits
-        self._lead_guard, self._follow_guard = lead_guard, follow_guard
+        times_ns = (round(time * NANOSECONDS) for time in times)
+        self._max_gap_ns, self._window_ns, self._delay_ns = times_ns
+        self._lead_guard, self.follow_guard = lead_guard, follow_guard
         self._on_match = on_match
+        self._unpaired, self._gap = reasons
         self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
-        #: The samples of the following stream that nothing waits for any more.
-        self.passed = Passed()
+        #: The last samples of the following stream that the pairs so far have left behind. Those
+        #: that wait for yet another stream leave some behind too, which count from when the pair
+        #: is made: what is known at a pair does not depend on how long it waited.
+        self.passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
         self._behind_since_ns: int | None = None
 
     @property
@@ -139,52 +115,59 @@ class Join:
     def lead(self, sample: Sample, matched: Matched) -> None:
         """Take an accepted sample of the leading stream, and what it is matched with already."""
         self._leading.append((sample, matched))
-        self._bound_leading(sample)
+        # Samples that have waited for longer than the window go. If one did so after its clock
+        # jumped back, the other's did not jump: that stream is taken to be in the same epoch.
+        while self._has_waited(self._leading[0][0], sample, self._lead_guard):
+            self._reject_oldest(self._unpaired)
+            if self.follow_guard.epoch < sample.epoch:
+                self.follow_guard.join_epoch(sample.epoch, sample.stamp_ns)
         self._match()
 
-    def follow(
-        self,
-        stamp_ns: int,
-        value: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
+    def follow(self, stamp_ns: int, value: float, *more: Any) -> None:
         """Take a sample of the following stream, if its guard accepts it."""
-        delay_ns = self._limits.delay_ns
-        for sample in self._follow_guard.accept(stamp_ns, value, position, load, turn):
+        delay_ns, following = self._delay_ns, self._following
+        for sample in self.follow_guard.accept(stamp_ns, value, *more):
             if delay_ns:
                 sample = sample._replace(stamp_ns=sample.stamp_ns - delay_ns)
-            self._following.append(sample)
+            following.append(sample)
             self._match()
-            self._bound_following()
+            while self._has_waited(following[0], sample, self.follow_guard):
+                following.popleft()
+
+    def count_passed(self, key: tuple[int, int]) -> None:
+        """Count what was left behind up to this epoch and stamp, of which a pair is made."""
+        while self._ahead and self._ahead[0][0] <= key:
+            self.passed.append(self._ahead.popleft()[1])
 
     def _match(self) -> None:
         leading, following = self._leading, self._following
         while leading and following:
             lead, matched = leading[0]
-            key = (lead.epoch, lead.stamp_ns)
+            key = lead[:2]
             while len(following) > 1 and following[1][:2] <= key:
-                self.passed.add(key, following.popleft())
+                self._ahead.append((key, following.popleft()))
             before = following[0]
-            if before[:2] > key:
-                self._reject_oldest(self._limits.unpaired)
+            at = before[:2]
+            if at > key:
+                self._reject_oldest(self._unpaired)
                 self._join_epoch(lead, before)
-            elif before[:2] == key:
+            elif at == key:
                 leading.popleft()
                 self._on_match(lead, (*matched, Around(before, before, 0.0)))
             elif len(following) == 1:
                 return
             else:
-                self._between(lead, matched, before, following[1])
+                self._match_between(lead, matched, before, following[1])
 
-    def _between(self, lead: Sample, matched: Matched, before: Sample, after: Sample) -> None:
+    def _match_between(
+        self, lead: Sample, matched: Matched, before: Sample, after: Sample
+    ) -> None:
         if before.epoch != lead.epoch or after.epoch != lead.epoch:
-            self._reject_oldest(self._limits.unpaired)
+            self._reject_oldest(self._unpaired)
             return
         gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > max(self._limits.max_gap_ns, _GAP_STEPS * lead.usual_ns):
-            self._reject_oldest(self._limits.gap)
+        if gap_ns > self._max_gap_ns and gap_ns > _GAP_STEPS * lead.usual_ns:
+            self._reject_oldest(self._gap)
             return
         self._leading.popleft()
         fraction = (lead.stamp_ns - before.stamp_ns) / gap_ns
@@ -196,7 +179,7 @@ class Join:
             self._behind_since_ns = None
         elif self._behind_since_ns is None:
             self._behind_since_ns = lead.stamp_ns
-        elif lead.stamp_ns - self._behind_since_ns > self._limits.window_ns:
+        elif lead.stamp_ns - self._behind_since_ns > self._window_ns:
             self._lead_guard.join_epoch(follower.epoch, lead.stamp_ns)
             self._behind_since_ns = None
 
@@ -204,25 +187,9 @@ class Join:
         self._leading.popleft()
         self._lead_guard.reject(reason)
 
-    def _bound_leading(self, newest: Sample) -> None:
-        """Drop samples that have waited for longer than the window.
-
-        If one was dropped after its clock jumped back, the other stream's clock did not jump: that
-        stream is then taken to be in the same epoch.
-        """
-        while self._has_waited(self._leading[0][0], newest, self._lead_guard):
-            self._reject_oldest(self._limits.unpaired)
-            if self._follow_guard.epoch < newest.epoch:
-                self._follow_guard.join_epoch(newest.epoch, newest.stamp_ns)
-
-    def _bound_following(self) -> None:
-        newest = self._following[-1]
-        while self._has_waited(self._following[0], newest, self._follow_guard):
-            self._following.popleft()
-
     def _has_waited(self, oldest: Sample, newest: Sample, guard: StreamGuard) -> bool:
         if oldest is newest:
             return False
         start_ns = oldest.stamp_ns if oldest.epoch == newest.epoch else guard.epoch_start_ns
-        window_ns = max(self._limits.window_ns, _WINDOW_STEPS * newest.usual_ns)
-        return newest.stamp_ns - start_ns > window_ns
+        waited_ns = newest.stamp_ns - start_ns
+        return waited_ns > self._window_ns and waited_ns > _WINDOW_STEPS * newest.usual_ns

@@ -57,14 +57,6 @@ def normalised(quaternion: Quaternion) -> Quaternion:
     return x, y, z, w
 
 
-def by_rotation_vector(vector: Vector) -> Quaternion:
-    """Return the rotation about a vector, by its length [rad]."""
-    turn = math.hypot(*vector)
-    scale = math.sin(0.5 * turn) / turn if turn else 0.5
-    x, y, z = (scale * part for part in vector)
-    return x, y, z, math.cos(0.5 * turn)
-
-
 def conjugate(quaternion: Quaternion) -> Quaternion:
     """Return the opposite rotation."""
     x, y, z, w = quaternion

@@ -13,7 +13,6 @@ from fden_ros.core.streams.rotation import Quaternion, Vector
 #: In a second.
 NANOSECONDS = 1_000_000_000
 
-
 Position = Vector
 
 
@@ -71,12 +70,12 @@ def lateral_distance(axis: Position, a: Position, b: Position) -> float:
 class Sink(Protocol):
     """Takes samples: a pipeline, or what stands before it.
 
-    A class that inherits from it lets go by what it has no method of its own for, but force and
-    displacement.
+    A class that inherits from it ignores what it has no method of its own for, but force and
+    displacement. Forces are in N, displacements, positions and translations in m.
     """
 
     def add_force(self, stamp_ns: int, force: float) -> None:
-        """Take a force sample [N]."""
+        """Take a force."""
 
     def add_displacement(
         self,
@@ -86,10 +85,10 @@ class Sink(Protocol):
         load: float = 0.0,
         turn: Quaternion | None = None,
     ) -> None:
-        """Take a displacement [m], the tool's weight [N]; position [m] and turn where known."""
+        """Take a displacement, the tool's weight [N]; position and turn where known."""
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Take a force [N] or torque [N m] in a frame that moves."""
+        """Take a force, or torque [N m], in a frame that moves."""
         return
 
     def add_transform(
@@ -102,7 +101,7 @@ class Sink(Protocol):
         *,
         is_static: bool,
     ) -> None:
-        """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+        """Take where a frame is in its parent, and its rotation."""
         return
 
     def reject(self, stream: str, reason: str) -> None:

@@ -14,10 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks, between
+from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import NOISE_SAMPLES, Join, JoinLimits, Matched, Passed
-from fden_ros.core.streams.rotation import Quaternion, Transform, Vector, dot
+from fden_ros.core.streams.join import NOISE_SAMPLES, Join, Matched
+from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
@@ -87,61 +87,40 @@ class Synchronizer:
         rejected: Counter[str],
         statics: StaticLinks | None = None,
     ) -> None:
-        self._config = config
-        self._on_pair = on_pair
-        self._rejected = rejected
+        self._config, self._on_pair, self._rejected = config, on_pair, rejected
+        frames, path = config.frames, config.tool_path
         self.force_guard = StreamGuard(
-            config.force_limit, rejected, "force", is_vector=config.frames is not None
+            config.force_limit, rejected, "force", is_vector=frames is not None
         )
-        self._path = ToolPath(config.tool_path) if config.tool_path is not None else None
-        self.displacement_guard = StreamGuard(
-            config.displacement_limit,
-            rejected,
-            "displacement",
-            is_vector=config.tool_path is not None,
-        )
-        self._displacements = self._join(
-            self.displacement_guard, Reason.UNPAIRED, Reason.DISPLACEMENT_GAP
-        )
-        self.frames: Frames | None = None
-        self._moves_probe = False  # the transforms give the displacement
-        self._moved, self._moved_ns = Passed(), 0
+        self._path = ToolPath(path) if path is not None else None
+        reasons = Reason.UNPAIRED, Reason.DISPLACEMENT_GAP
+        self._displacements = self._join("displacement", *reasons, is_vector=path is not None)
+        self.displacement_guard = self._displacements.follow_guard
+        #: Whether the transforms give the displacement.
+        self._moves_probe = frames is not None and frames.moves_probe
+        self._moved: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
+        self._moved_ns = 0
         self._held: deque[Sample] = deque()  # forces whose frame is not known
-        if config.frames is not None:
-            self._moves_probe = config.frames.moves_probe
+        self.frames: Frames | None = None
+        if frames is not None:
             known = statics if statics is not None else StaticLinks()
-            self.frames = Frames(config.frames, self._link, known)
-        self._joins: list[Join] = []  # in the order in which a force waits for them
-        if self.frames is None:
-            self._order_joins()
+            reasons = Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP
+            self.frames = Frames(frames, lambda: self._join("transform", *reasons), known)
+        #: In the order in which a force waits for them.
+        self._joins: list[Join] = [] if self._moves_probe else [self._displacements]
 
-    def _order_joins(self) -> None:
-        first = [] if self._moves_probe else [self._displacements]
-        links = self.frames.joins if self.frames is not None else []
-        self._joins = [*first, *links]
-
-    def _link(self) -> Join:
-        """Return what lets forces wait for a link between frames."""
+    def _join(self, name: str, unpaired: str, gap: str, *, is_vector: bool = True) -> Join:
+        """Return what lets forces wait for a stream whose stamps lag, such as a moving link's."""
         limit = self._config.displacement_limit
-        guard = StreamGuard(limit, self._rejected, "transform", is_vector=True)
-        return self._join(guard, Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP)
-
-    def _join(self, guard: StreamGuard, unpaired: str, gap: str) -> Join:
-        """Return what lets forces wait for a stream whose stamps lag."""
-        limits = JoinLimits(
-            max_gap_ns=round(self._config.max_gap * NANOSECONDS),
-            window_ns=round(self._config.max_wait * NANOSECONDS),
-            delay_ns=round(self._config.displacement_delay * NANOSECONDS),
-            unpaired=unpaired,
-            gap=gap,
-        )
-        return Join(limits, self.force_guard, guard, self._advance)
+        guard = StreamGuard(limit, self._rejected, name, is_vector=is_vector)
+        times = self._config.max_gap, self._config.max_wait, self._config.displacement_delay
+        return Join(times, self.force_guard, guard, self._advance, (unpaired, gap))
 
     @property
     def waiting(self) -> int:
         """How many samples of all streams are kept for others to come."""
         kept = self.frames.kept if self.frames is not None else 0
-        return kept + len(self._held) + sum(join.waiting for join in self._joins)
+        return kept + len(self._held) + self._displacements.waiting
 
     def path_noise(self) -> float:
         """Return the noise of the motion: variance per sample times the time between [m^2 s].
@@ -150,8 +129,7 @@ class Synchronizer:
         between their neighbours, or from the steps in which they come; 0 while there are
         fewer than 32.
         """
-        streams = (self._displacements.passed, self._moved)
-        return sum(_noise_of(passed.samples) for passed in streams)
+        return _noise_of(self._displacements.passed) + _noise_of(self._moved)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -173,7 +151,7 @@ class Synchronizer:
         )
         if problem is not None:
             self._rejected[f"transform.{problem}"] += 1
-        self._release()
+        self._release(self.frames)
 
     def add_displacement(
         self,
@@ -189,28 +167,24 @@ class Synchronizer:
         """
         self._displacements.follow(stamp_ns, displacement, position, load, turn)
 
-    def _lead(self, forces: tuple[Sample, ...], frame: str = "") -> None:
+    def _lead(self, forces: list[Sample], frame: str = "") -> None:
         for force in forces:
-            if self.frames is None or self._joins:
-                self._advance(force, ())
+            if self.frames is None:
+                self._displacements.lead(force, ())
                 continue
             self.frames.name_force(frame)
             self._held.append(force)
-            self._release()
-            while self._held and self._has_waited(self._held[0], force):
+            self._release(self.frames)
+            oldest_ns = force.stamp_ns - round(self._config.max_wait * NANOSECONDS)
+            while self._held and self._held[0][:2] < (force.epoch, oldest_ns):
                 self._held.popleft()
                 self.force_guard.reject(Reason.NO_TRANSFORM)
 
-    def _has_waited(self, oldest: Sample, newest: Sample) -> bool:
-        waited_ns = newest.stamp_ns - oldest.stamp_ns
-        window_ns = round(self._config.max_wait * NANOSECONDS)
-        return oldest.epoch != newest.epoch or waited_ns > window_ns
-
-    def _release(self) -> None:
+    def _release(self, frames: Frames) -> None:
         """Let the forces go on that were held, once all frames are known."""
-        if self.frames is None or not self.frames.is_known or self._joins:
+        if not frames.is_known:
             return
-        self._order_joins()
+        self._joins = [*([] if self._moves_probe else [self._displacements]), *frames.joins]
         while self._held:
             self._advance(self._held.popleft(), ())
 
@@ -218,50 +192,33 @@ class Synchronizer:
         """Let a force wait for the next stream, or make the pair once it has met all."""
         if len(matched) < len(self._joins):
             self._joins[len(matched)].lead(force, matched)
-        else:
-            self._make(force, matched)
+            return
+        for join in self._joins:
+            join.count_passed(force[:2])
+        self._on_pair(self._pair(force, matched))
 
-    def _make(self, force: Sample, matched: Matched) -> None:
-        count = len(self.frames.joins) if self.frames is not None else 0
-        first = 0 if self._moves_probe else 1
-        links = matched[first : first + count]
-        displacement, position, tilt = self._motion(force, matched, links)
-        key = force.epoch, force.stamp_ns
-        for passed in (self._moved, *(join.passed for join in self._joins)):
-            passed.until(key)
-        value = self._force(force, matched, links)
-        self._on_pair(Pair(*key, value, displacement, position, tilt))
-
-    def _force(self, force: Sample, matched: Matched, links: Matched) -> float:
-        """Return the force along its axis, the tool's weight taken off [N]."""
-        value = force.value if self._moves_probe else force.value - matched[0].load
-        if self.frames is None:
-            return value
-        if force.position is not None:
-            value = self.frames.force_along(force.position, links)
-        tool = self._config.frames.tool if self._config.frames is not None else None
-        if self._moves_probe and self._path is not None and tool is not None:
-            value -= tool.load(self.frames.probe(links).rotation)
-        return value
-
-    def _motion(
-        self, force: Sample, matched: Matched, links: Matched
-    ) -> tuple[float, Position | None, float]:
-        """Return displacement [m], position [m] and tilt [rad] of the probe."""
-        frames, path = self._config.frames, self._path
-        if self.frames is None or frames is None or not frames.moves_probe:
+    def _pair(self, force: Sample, matched: Matched) -> Pair:
+        epoch, stamp_ns, value, vector, *_ = force
+        frames, path = self.frames, self._path
+        links = matched if self._moves_probe else matched[1:]
+        moving = frames.moving(links) if frames is not None else {}
+        if frames is not None and vector is not None:
+            value = frames.force_along(vector, moving)
+        if frames is None or not self._moves_probe:
             around = matched[0]
-            way = (around.value, 0.0) if path is None else path.add(between(around))
-            return way[0], around.position, way[1]
-        probe = self.frames.probe(links)
-        along = dot(frames.displacement_axis, probe.translation)
-        displacement, tilt = (along, 0.0) if path is None else path.add(probe)
+            way, tilt = (around.value, 0.0) if path is None else path.add(around.transform)
+            if vector is None:
+                value -= around.load
+            return Pair(epoch, stamp_ns, value, way, around.position, tilt)
+        probe = frames.probe(moving)
+        way, tilt = (frames.depth(probe), 0.0) if path is None else path.add(probe)
         if links and links[-1].before.stamp_ns != self._moved_ns:
             # One per transform, for its noise.
             self._moved_ns = links[-1].before.stamp_ns
-            key = force.epoch, force.stamp_ns
-            self._moved.add(key, Sample(*key, displacement))
-        return displacement, probe.translation, tilt
+            self._moved.append(Sample(epoch, stamp_ns, way))
+        if path is not None:
+            value -= frames.weight(probe)
+        return Pair(epoch, stamp_ns, value, way, probe.translation, tilt)
 
 
 def _noise_of(samples: deque[Sample]) -> float:

@@ -50,21 +50,16 @@ class ToolPath:
         self._advance = 0.0
 
     def add(self, probe: Transform) -> tuple[float, float]:
-        """Take the next place of the probe.
+        """Take the next place of the probe; return depth so far [m] and tilt [rad].
 
-        Returns
-        -------
-        tuple of float
-            Depth so far, from any origin [m]: along the axis, of that the part along
-            the normal where it is known. Angle between the two [rad]; 0 where it is not.
+        The depth, from any origin, is along the axis, of that the part along the normal where it
+        is known. The tilt is the angle between the two; 0 where it is not.
         """
         place, axis = probe.translation, rotate(probe.rotation, self._config.axis)
         last, self._last = self._last, (place, axis)
-        tilt = 0.0
-        cosine = 1.0
-        if self._config.normal is not None:
-            cosine = min(max(dot(axis, self._config.normal), -1.0), 1.0)
-            tilt = math.acos(cosine)
+        normal = self._config.normal
+        cosine = 1.0 if normal is None else min(max(dot(axis, normal), -1.0), 1.0)
+        tilt = math.acos(cosine)
         if last is not None:
             (x0, y0, z0), (a0, b0, c0) = last
             step = place[0] - x0, place[1] - y0, place[2] - z0
@@ -117,15 +112,8 @@ class ToolWeight:
     def load(self, orientation: Quaternion, axis: Vector | None = None) -> float:
         """Return force [N] or torque [N m] of the weight along the axis, or another `axis`.
 
-        Parameters
-        ----------
-        orientation : tuple of float
-            Unit quaternion x, y, z, w that turns the sensor's frame into gravity's.
-
-        Raises
-        ------
-        ValueError
-            If `orientation` is no rotation.
+        `orientation` turns the sensor's frame into gravity's; a ValueError says that it is no
+        rotation.
         """
         weight = rotate(conjugate(normalised(orientation)), self.gravity)
         vector = cross(self.centre_of_mass, weight) if self.is_torque else weight

@@ -21,16 +21,8 @@ from fden_ros.core.streams import (
     Sink,
     normalised,
 )
-from fden_ros.parameters import (
-    FORCES,
-    PLACES,
-    MessageKind,
-    Parameters,
-    frames_config,
-    kind_of,
-    tool_weight,
-    unit_vector,
-)
+from fden_ros.message_kinds import FORCES, PLACES, MessageKind, kind_of
+from fden_ros.parameters import Parameters, frames_config, tool_weight, unit_vector
 
 #: Of ``/tf``.
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -132,7 +124,7 @@ class Inputs:
         kind = kind_of(message, FORCES if name == "force" else PLACES)
         value: NumberOrVector | None
         if kind.is_of_joints:
-            value = _joint_value(kind, message, self._joints[name])
+            value = self._joint(name, kind, message)
         else:
             value = kind.value(message, is_torque=self._takes_torque)
         if name == "force":
@@ -189,6 +181,15 @@ class Inputs:
         else:
             self._sink.add_displacement(stamp, along, value, load)
 
+    def _joint(self, name: str, kind: MessageKind, message: Any) -> Any:
+        """Return the number of an input's joint; None where the message lacks it."""
+        index, values, joint = 0, getattr(message, kind.field), self._joints[name]
+        if joint:
+            if joint not in message.name:
+                return None
+            index = message.name.index(joint)
+        return float(values[index]) if index < len(values) else None
+
     def _is_own_frame(self, name: str, frame_id: str) -> bool:
         if self._frames.setdefault(name, frame_id) == frame_id:
             return True
@@ -208,16 +209,12 @@ class Inputs:
             )
 
 
+def inputs_of(parameters: Parameters, sink: Sink | Inputs) -> Inputs:
+    """Return what projects measurements for a sink, or what takes them itself."""
+    return sink if isinstance(sink, Inputs) else Inputs(parameters, sink)
+
+
 def _along(axis: Position, value: Position) -> float:
     a, b, c = axis
     x, y, z = value
     return float(a * x + b * y + c * z)
-
-
-def _joint_value(kind: MessageKind, message: Any, joint: str) -> float | None:
-    index, values = 0, getattr(message, kind.field)
-    if joint:
-        if joint not in message.name:
-            return None
-        index = message.name.index(joint)
-    return float(values[index]) if index < len(values) else None
