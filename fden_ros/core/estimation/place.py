@@ -55,8 +55,9 @@ _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: last [1], and at its end: scales that were small are left only where the columns are those of
 #: larger ones, and the log evidence was up to 15 lower.
 _AFRESH = 2.0
-#: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
-_GATE, _GATE_BLOCKS = 4.0, 3
+#: Innovations beyond as many standard deviations and this part of the stress [1], as many blocks
+#: in a row: the tissue has changed. A smaller part is an error of law or rig.
+_GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
 
@@ -205,7 +206,12 @@ class PlacePosterior:
         Or it is another one: a grid that is laid anew would take it for an error of the law.
         """
         self.innovation = found
-        is_beyond = found.normalized_squared > _GATE**2 and self.is_settled
+        stress = abs(found.predicted + found.innovation)
+        is_beyond = (
+            found.normalized_squared > _GATE**2
+            and abs(found.innovation) > _GATE_PART * stress
+            and self.is_settled
+        )
         self._beyond = self._beyond + 1 if is_beyond else 0
         self.is_changed |= self._beyond >= _GATE_BLOCKS
 
