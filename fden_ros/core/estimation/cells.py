@@ -115,14 +115,16 @@ class Press:
         own = 0.5 * -np.expm1(-y) / y
         for ends in (self.first[done:], self.last[done:]):
             since = self.times[ends][:, None] - self.times
-            seen = since >= 0.0
-            left = np.exp(-np.multiply.outer(RATES, np.maximum(since, 0.0)))
-            found[:-2, done:] += np.where(seen, left, 0.0) * own[:, None, :]
-            found[-2, done:] += 0.5 * seen
+            since[since < 0.0] = np.inf  # not yet
+            left = np.multiply.outer(-RATES, since)
+            np.exp(left, out=left)
+            found[:-2, done:] += left
+            found[-2, done:] += 0.5 * np.isfinite(since)
             steps, rows = elapsed[ends], np.arange(done, size)
             found[-1, rows, ends] += np.divide(
                 0.5, steps, out=np.zeros_like(steps), where=steps > 0.0
             )
+        found[:-2, done:] *= own[:, None, :]
         return replace(self, memory=found)
 
 

@@ -129,7 +129,7 @@ class Filter:
         self._b = np.einsum("ij,ij->j", own, rows)
         self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
         self._clocks = grid.covariance.clocks
-        self._first = self._now = self._weighed()
+        self._first = self._now = self._weighed(None)
         self._mixed = stiffness or self._first
         self._mix()
 
@@ -155,8 +155,8 @@ class Filter:
         """Log evidence of the record by now at the leading scales, with their prior as it is."""
         return float(log_sum(self._now.log + self.grid.log_prior))
 
-    def _weighed(self) -> Stiffness:
-        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
+    def _weighed(self, begin: Array | None) -> Stiffness:
+        found = of_stiffness(self._a, self._b, prior_of_log_g(self.grid.law), begin)
         return found._replace(log=found.log - self._rest)
 
     @property
@@ -202,7 +202,7 @@ class Filter:
         self._a = self._a + white[k:] ** 2
         self._b = self._b + seen * white[k:]
         self._rest = self._rest + 0.5 * seen**2 + math.log(root)
-        self._now = self._weighed()
+        self._now = self._weighed(self._now.log_g)
         self._mix()
         return CellInnovation(stress - off, off, variance)
 
@@ -273,23 +273,29 @@ class Filter:
         about = replace(grid.about, stresses=self.stress_ahead(times))
         drive = law.drive(tail, slice(None), grid.nodes, about, grid.linear.free)
         driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
-        total, by_rate = np.zeros(driven.shape[1]), np.zeros(RATES.size + 2)
-        points = [] if not tail.middles.size else [int(tail.first[0]), int(tail.last[0])]
-        before = float(self._press.times[-1])
-        for k, own in enumerate(driven):
-            seconds = max(float(times[k]) - before, 1e-9)
-            rise, before = own - self._driven, float(times[k])
-            rate = RATES * seconds
-            gain = -np.expm1(-np.maximum(rate, 1e-12)) / np.maximum(rate, 1e-12)
-            self._left = np.exp(-rate)[:, None] * self._left + np.outer(gain, rise)
-            self._driven = own
-            part = 0.5 * points.count(k)
-            if part:
-                rates = np.vstack([self._left, own, rise / seconds])
-                total += part * np.einsum("rc,rc->c", self._weights, rates)
-                by_rate += part * self._weights[:, 0] * rates[:, 0]
-        if not points:
+        rises = np.diff(driven, axis=0, prepend=self._driven[None])
+        seconds = np.maximum(np.diff(times, prepend=self._press.times[-1]), 1e-9)
+        y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)
+        since = times[:, None] - times
+        left = np.exp(np.multiply.outer(-RATES, np.where(since >= 0.0, since, np.inf)))
+        # What is left of the rises, and of all before, at each point.
+        into = left * (-np.expm1(-y) / y)[:, None, :]
+        decay = left[:, :, 0] * np.exp(-y[:, :1])
+        before = self._left
+        self._left, self._driven = decay[:, -1:] * before + into[:, -1] @ rises, driven[-1]
+        if not tail.middles.size:
             return None
+        points = [int(tail.first[0]), int(tail.last[0])]
+        rates = np.vstack(
+            [
+                decay[:, points].mean(axis=1)[:, None] * before
+                + into[:, points].mean(axis=1) @ rises,
+                driven[points].mean(axis=0),
+                (rises[points] / seconds[points, None]).mean(axis=0),
+            ]
+        )
+        total = np.einsum("rc,rc->c", self._weights, rates)
+        by_rate = self._weights[:, 0] * rates[:, 0]
         k = 1 + law.size
         column = total[1:k]
         if law.has_kernel_error:

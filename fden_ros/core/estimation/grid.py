@@ -19,6 +19,7 @@ the rounds swing, and end 5 to 8 logarithmic units low.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from scipy.linalg import lapack
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.covariance import Covariance, Noise, Scales, near, scales_of
 from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
+from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.law import Expansion, Law, Linear
 
 #: A grid reaches as many standard deviations [1].
@@ -81,26 +83,33 @@ class Stiffness(NamedTuple):
     log: Array  #: log evidence, without that of y alone
 
 
-def of_stiffness(a: Array, b: Array, mean: float, sd: float) -> Stiffness:
+def of_stiffness(
+    a: Array, b: Array, prior: tuple[float, float], begin: Array | None = None
+) -> Stiffness:
     """Return ln G and the log evidence of b G - a G^2 / 2 with a Gaussian prior of ln G.
 
     Newton's steps in one dimension, at all nodes; the prior's mean and standard deviation are of
-    ln G.
+    ln G. `begin`: ln G near by.
     """
+    mean, sd = prior
     a = np.maximum(a, 1e-300)
-    g = np.log(np.maximum(b, 1e-3 * np.sqrt(a)) / a)
+    if begin is None:
+        begin = np.log(np.maximum(b, 1e-3 * np.sqrt(a)) / a)
     # A node without a response says nothing of G.
-    g = np.clip(g, mean - 8.0 * sd, mean + 8.0 * sd)
+    g = np.clip(begin, mean - 8.0 * sd, mean + 8.0 * sd)
     for _ in range(30):
         e = np.exp(g)
-        curve = np.maximum(2.0 * a * e**2 - b * e, 0.5 * a * e**2) + 1.0 / sd**2
-        step = np.clip((b * e - a * e**2 - (g - mean) / sd**2) / curve, -1.0, 1.0)
+        line, square = b * e, a * e**2
+        curve = np.maximum(2.0 * square - line, 0.5 * square) + 1.0 / sd**2
+        step = (line - square - (g - mean) / sd**2) / curve
+        step = np.minimum(np.maximum(step, -1.0), 1.0)
         g = g + step
-        if np.max(np.abs(step)) < 1e-6:
+        if max(step.max(), -step.min()) < 1e-6:
             break
     e = np.exp(g)
-    curve = np.maximum(2.0 * a * e**2 - b * e, 0.1 * a * e**2) + 1.0 / sd**2
-    log = b * e - 0.5 * a * e**2 - 0.5 * ((g - mean) / sd) ** 2 - 0.5 * np.log(curve * sd**2)
+    line, square = b * e, a * e**2
+    curve = np.maximum(2.0 * square - line, 0.1 * square) + 1.0 / sd**2
+    log = line - 0.5 * square - 0.5 * ((g - mean) / sd) ** 2 - 0.5 * np.log(curve * sd**2)
     return Stiffness(g, 1.0 / curve, log)
 
 
@@ -172,7 +181,7 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
         chi = np.einsum("ij,ij->j", y, y) - np.einsum("pij,pij->pj", ay, ay)
         logs = np.log(lower.diagonal()).sum() + np.log(np.diagonal(root, 0, 1, 2)).sum(axis=1)
         rest[at] = 0.5 * chi + logs[:, None]
-    found = of_stiffness(a, b, *prior_of_log_g(law))
+    found = of_stiffness(a, b, prior_of_log_g(law))
     log_prior = np.array([[one.log_prior] for one in places])
     return found._replace(log=found.log - rest + log_prior)
 
@@ -259,6 +268,11 @@ class Grid:
         """What the columns are taken about."""
         return self.start.about
 
+    @functools.cached_property
+    def prior(self) -> Array:
+        """The covariance of a state at the leading scales, (k, k)."""
+        return self.covariance.prior(self.start.scales)
+
     @property
     def weights(self) -> Array:
         """Of the nodes, (M,)."""
@@ -268,8 +282,12 @@ class Grid:
 
 def log_evidence_of(law: Law, log: Array) -> float:
     """Return the log evidence of nodes, with the prior of the scales normalised."""
-    places = scales_of(law.config.uncertainty)
-    return float(log_sum(log) - log_sum(np.array([one.log_prior for one in places])))
+    return float(log_sum(log)) - _log_prior_of_scales(law.config.uncertainty)
+
+
+@functools.lru_cache(maxsize=16)
+def _log_prior_of_scales(uncertainty: Uncertainty) -> float:
+    return float(log_sum(np.array([one.log_prior for one in scales_of(uncertainty)])))
 
 
 def cut(law: Law, nodes: Array, log: Array) -> Array:
@@ -314,7 +332,7 @@ def begun(law: Law, noise: Noise) -> Start:
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
     white = law.responses(nodes, about)[0] / rough[:, None]
     y = stresses / rough
-    found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
+    found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     best = int(np.argmax(log))
     weights, _ = tempered(log, _least_effective(law))
@@ -387,7 +405,7 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
     rows = white[:, y.shape[1] + law.size :]
     own = white[:, :1] + white[:, 1 : y.shape[1]] @ cells.off.T
     a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", own, rows)
-    found = of_stiffness(a, b, *prior_of_log_g(law))
+    found = of_stiffness(a, b, prior_of_log_g(law))
     rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
     log = found.log - rest + log_prior
     log = cut(law, nodes, log) + log_sum(log)

@@ -147,7 +147,7 @@ class Posterior:
             return None
         state = self.states @ self.weights
         off = (self.states - state[:, None]) * np.sqrt(self.weights)
-        covariance = grid.covariance.prior(grid.start.scales) - self.known.T @ self.known
+        covariance = grid.prior - self.known.T @ self.known
         covariance += off @ off.T
         mean, _ = self.tissue
         # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
