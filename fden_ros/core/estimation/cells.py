@@ -113,14 +113,23 @@ class Press:
         elapsed = np.diff(self.times, prepend=self.times[0])
         y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
         own = 0.5 * -np.expm1(-y) / y
-        for ends in (self.first[done:], self.last[done:]):
-            since = self.times[ends][:, None] - self.times
-            since[since < 0.0] = np.inf  # not yet
-            left = np.multiply.outer(-RATES, since)
-            np.exp(left, out=left)
-            found[:-2, done:] += left
-            found[-2, done:] += 0.5 * np.isfinite(since)
-            steps, rows = elapsed[ends], np.arange(done, size)
+        rows, first, last = np.arange(done, size), self.first[done:], self.last[done:]
+        since = self.times[first][:, None] - self.times
+        since[since < 0.0] = np.inf  # not yet
+        left = np.multiply.outer(-RATES, since)
+        np.exp(left, out=left)
+        decay = np.multiply.outer(-RATES, self.times[last] - self.times[first])
+        np.multiply(left, 1.0 + np.exp(decay)[:, :, None], out=found[:-2, done:])
+        # Of the points between the two of a cell only the second sees anything.
+        cell, point = np.nonzero(
+            (self.times > self.times[first][:, None]) & (self.times <= self.times[last][:, None])
+        )
+        between = np.multiply.outer(-RATES, self.times[last[cell]] - self.times[point])
+        found[:-2, done + cell, point] = np.exp(between)
+        found[-2, done:] = np.isfinite(since)
+        found[-2, done + cell, point] = 0.5
+        for ends in (first, last):
+            steps = elapsed[ends]
             found[-1, rows, ends] += np.divide(
                 0.5, steps, out=np.zeros_like(steps), where=steps > 0.0
             )
