@@ -55,8 +55,8 @@ _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: last [1], and at its end: scales that were small are left only where the columns are those of
 #: larger ones, and the log evidence was up to 15 lower.
 _AFRESH = 2.0
-#: Innovations beyond as many standard deviations and this part of the stress [1], as many blocks
-#: in a row: the tissue has changed. A smaller part is an error of law or rig.
+#: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
+#: blocks in a row: the tissue has changed. A smaller part is an error of law or rig.
 _GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
@@ -101,7 +101,7 @@ class PlacePosterior:
         self._press: Press | None = None
         self._blocks = 0
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
-        self._fastest = 0.0
+        self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
         self._beyond, self._afresh_at = 0, 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
@@ -161,7 +161,8 @@ class PlacePosterior:
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest, self._beyond, self._afresh_at, self._start = 0.0, 0, 0.0, None
+        self._fastest = self._largest = self._afresh_at = 0.0
+        self._beyond, self._start = 0, None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -206,10 +207,10 @@ class PlacePosterior:
         Or it is another one: a grid that is laid anew would take it for an error of the law.
         """
         self.innovation = found
-        stress = abs(found.predicted + found.innovation)
+        self._largest = max(self._largest, abs(found.predicted + found.innovation))
         is_beyond = (
             found.normalized_squared > _GATE**2
-            and abs(found.innovation) > _GATE_PART * stress
+            and abs(found.innovation) > _GATE_PART * self._largest
             and self.is_settled
         )
         self._beyond = self._beyond + 1 if is_beyond else 0
