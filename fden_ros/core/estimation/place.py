@@ -58,6 +58,8 @@ _AFRESH = 2.0
 #: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
 #: blocks in a row: the tissue has changed. A smaller part is an error of law or rig.
 _GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
+#: Or two in a row whose squares add up to this, while no grid is settled [1].
+_UNSETTLED = 1000.0
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
 
@@ -103,7 +105,8 @@ class PlacePosterior:
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
         self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond, self._afresh_at = 0, 0.0
+        self._beyond: list[float] = []  #: squares of the newest innovations, while they are beyond
+        self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
         self._rival = Rival()
 
@@ -115,7 +118,7 @@ class PlacePosterior:
     @property
     def is_beyond(self) -> bool:
         """Whether the newest block is beyond the gate."""
-        return self._beyond > 0
+        return bool(self._beyond)
 
     @property
     def elapsed(self) -> float:
@@ -162,7 +165,7 @@ class PlacePosterior:
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
         self._fastest = self._largest = self._afresh_at = 0.0
-        self._beyond, self._start = 0, None
+        self._beyond, self._start = [], None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -208,13 +211,13 @@ class PlacePosterior:
         """
         self.innovation = found
         self._largest = max(self._largest, abs(found.predicted + found.innovation))
-        is_beyond = (
-            found.normalized_squared > _GATE**2
-            and abs(found.innovation) > _GATE_PART * self._largest
-            and self.is_settled
+        square = found.normalized_squared
+        is_large = abs(found.innovation) > _GATE_PART * self._largest
+        self._beyond = [*self._beyond, square] if is_large and square > _GATE**2 else []
+        count, total = len(self._beyond), sum(self._beyond)
+        self.is_changed |= (
+            count >= _GATE_BLOCKS if self.is_settled else (count > 1 and total > _UNSETTLED)
         )
-        self._beyond = self._beyond + 1 if is_beyond else 0
-        self.is_changed |= self._beyond >= _GATE_BLOCKS
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
