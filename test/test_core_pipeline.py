@@ -45,7 +45,7 @@ THREE = (Palpation(0.3, 0.26, 0.3, presses=3, lift_m=0.002, pause_s=0.3),)
 #: The release is seen after this, two chunks of 20 ms and one sample at most [ns].
 #: A summary comes within this time after the release, unless samples end before.
 SUMMARY_NS = 600_000_000
-#: Block by which the first solution of a contact is used.
+#: Block by which the first grids of a contact are laid.
 SOLVED = 20
 RELEASE_NS = 64_000_000
 
@@ -133,7 +133,7 @@ def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> No
         # A contact begins with what was known at the end of the one before.
         first = states_in(result, after.contact_id)[0]
         assert sd_of(first) == pytest.approx(sd_of(before), rel=0.1)
-        # It says so once its own data do: the first solution is used after 0.14 s.
+        # It says so once its own data do.
         assert states_in(result, after.contact_id)[SOLVED].status is Status.CONVERGED
 
 

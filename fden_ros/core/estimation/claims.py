@@ -26,7 +26,7 @@ class Evidence(NamedTuple):
     mean: Array  #: of (ln G, ln Gn, alpha), shape (3,)
     deviations: Array  #: standard deviations of these, shape (3,)
     probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    is_solved: bool  #: the posterior's maximum was found
+    is_solved: bool  #: the grid is settled
     is_order_contradicted: bool = False  #: the relaxation is that of another alpha than is stated
     order_beyond: float = 0.0  #: standard deviations by which alpha wants beyond 0, or the highest
 

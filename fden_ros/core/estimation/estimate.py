@@ -125,7 +125,7 @@ class Estimate(NamedTuple):
     model_discrepancy: float = 0.0
     #: Mean time since the present elastic response was built up [s]; 0: not known.
     mean_dwell_time: float = 0.0
-    #: None: not known, before the first solution, and where the law is said to be exact.
+    #: None: not known, before the first grid, and where the law is said to be exact.
     law_error: LawError | None = None
     #: Probability that the relaxation reaches a plateau, and so is not the law's [1]; NaN: not
     #: known, as before the motion has slowed.
