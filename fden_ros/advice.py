@@ -70,7 +70,8 @@ linear part | {noise} of noise hide the linear part, so G is not observable
   | use a larger face or a quieter sensor
 bend | Gn is not observable: the strain reached {strain:.3f} and did not surely pass the boundary
   1/Gn, about {boundary:.3f} | press to {depth} mm for Gn
-innovation | not converged: the newest data fail the innovation test | press here once more
+settled | not converged: the estimator has not settled, or another explanation is as likely
+  | press here once more
 alpha | alpha is not determined by the data | hold for 2 s for alpha
 estimate | there is no estimate
 end | the contact was cut short, or data were lost

@@ -81,7 +81,7 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
     limits = config.estimator.converged_log_g_sd, config.estimator.converged_log_gn_sd
     poor = [k for k in (0, 1) if estimate.deviations[k] > limits[k]]
     if not poor:
-        return LACKS["innovation"]
+        return LACKS["settled"]
     spreads = [min(float(estimate.deviations[k]), 20.0) for k in poor]
     known = ", ".join(
         f"{('G', 'Gn')[k]} is known to "
