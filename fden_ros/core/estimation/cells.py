@@ -33,6 +33,8 @@ CREEP_RATES: Array = np.append(RATES, 0.0)
 _LETTING_GO = 1e-3
 #: A rise is cut where it is longer than this part of the largest indentation [1].
 _DEPTH_STEPS = 160.0
+#: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
+_FORGOTTEN = -60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +117,9 @@ class Press:
         own = 0.5 * -np.expm1(-y) / y
         rows, first, last = np.arange(done, size), self.first[done:], self.last[done:]
         since = self.times[first][:, None] - self.times
-        since[since < 0.0] = np.inf  # not yet
-        left = np.multiply.outer(-RATES, since)
-        np.exp(left, out=left)
+        is_seen = since >= 0.0
+        left = np.multiply.outer(-RATES, np.where(is_seen, since, np.inf))
+        np.exp(np.maximum(left, _FORGOTTEN, out=left), out=left)
         decay = np.multiply.outer(-RATES, self.times[last] - self.times[first])
         np.multiply(left, 1.0 + np.exp(decay)[:, :, None], out=found[:-2, done:])
         # Of the points between the two of a cell only the second sees anything.
@@ -126,7 +128,7 @@ class Press:
         )
         between = np.multiply.outer(-RATES, self.times[last[cell]] - self.times[point])
         found[:-2, done + cell, point] = np.exp(between)
-        found[-2, done:] = np.isfinite(since)
+        found[-2, done:] = is_seen
         found[-2, done + cell, point] = 0.5
         for ends in (first, last):
             steps = elapsed[ends]

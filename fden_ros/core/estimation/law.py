@@ -82,7 +82,7 @@ class Expansion:
         found = self.state[places]
         if nodes is not None:
             found = found[:, None] + self.by_theta[places] @ (nodes - self.theta).T
-        return np.clip(found, -_MOST, _MOST)
+        return np.asarray(np.minimum(np.maximum(found, -_MOST), _MOST))
 
 
 class Drive(NamedTuple):
@@ -248,8 +248,10 @@ class Law:
     def shape(self, strain: Array, log_gn: Array | float) -> Array:
         """Return phi for G = 1."""
         gn = np.exp(log_gn)
-        excess = gn * np.abs(strain) - 1.0
-        found = np.exp(np.clip(excess, 0.0, MAX_EXPONENT))
+        excess = gn * np.abs(strain)
+        excess -= 1.0
+        found = np.asarray(np.maximum(excess, 0.0))
+        np.exp(np.minimum(found, MAX_EXPONENT, out=found), out=found)
         found += np.minimum(excess, 0.0)
         found /= gn
         return found if self.geometry.is_one_sided else np.copysign(found, strain)
