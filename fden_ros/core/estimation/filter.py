@@ -156,7 +156,7 @@ class Filter:
         return float(log_sum(self._now.log + self.grid.log_prior))
 
     def _weighed(self, begin: Array | None) -> Stiffness:
-        found = of_stiffness(self._a, self._b, prior_of_log_g(self.grid.law), begin)
+        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law), begin)
         return found._replace(log=found.log - self._rest)
 
     @property

@@ -84,14 +84,13 @@ class Stiffness(NamedTuple):
 
 
 def of_stiffness(
-    a: Array, b: Array, prior: tuple[float, float], begin: Array | None = None
+    a: Array, b: Array, mean: float, sd: float, begin: Array | None = None
 ) -> Stiffness:
     """Return ln G and the log evidence of b G - a G^2 / 2 with a Gaussian prior of ln G.
 
     Newton's steps in one dimension, at all nodes; the prior's mean and standard deviation are of
     ln G. `begin`: ln G near by.
     """
-    mean, sd = prior
     a = np.maximum(a, 1e-300)
     if begin is None:
         begin = np.log(np.maximum(b, 1e-3 * np.sqrt(a)) / a)
@@ -183,7 +182,7 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
         for whole, u, v in ((chi, y, y), (b, y, r), (a, r, r))
     )
     rest = 0.5 * chi + (logs[at] + np.log(np.diagonal(root, 0, 1, 2)).sum(axis=1))[:, None]
-    found = of_stiffness(a, b, prior_of_log_g(law))
+    found = of_stiffness(a, b, *prior_of_log_g(law))
     log_prior = np.array([[one.log_prior] for one in places])
     return found._replace(log=found.log - rest + log_prior)
 
@@ -350,7 +349,7 @@ def begun(law: Law, noise: Noise) -> Start:
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
     white = law.responses(nodes, about)[0] / rough[:, None]
     y = stresses / rough
-    found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, prior_of_log_g(law))
+    found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     best = int(np.argmax(log))
     weights, _ = tempered(log, _least_effective(law))
@@ -423,7 +422,7 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
     rows = white[:, y.shape[1] + law.size :]
     own = white[:, :1] + white[:, 1 : y.shape[1]] @ cells.off.T
     a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", own, rows)
-    found = of_stiffness(a, b, prior_of_log_g(law))
+    found = of_stiffness(a, b, *prior_of_log_g(law))
     rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
     log = found.log - rest + log_prior
     log = cut(law, nodes, log) + log_sum(log)
