@@ -158,9 +158,11 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
     .. math:: u^T S^{-1} v = u^T D^{-1} v - (A^T D^{-1} u)^T M^{-1} (A^T D^{-1} v), \qquad
               M = 1 + A^T D^{-1} A .
     """
-    own = np.hstack([*covariance.smooth, cells.own, cells.responses])
+    own = np.hstack([*covariance.smooth, cells.y, cells.responses])
     widths = [part.shape[1] for part in covariance.smooth]
-    k, m = sum(widths), len(cells.off)
+    # The y of a node is a product with these.
+    heads = np.vstack([np.ones(len(cells.off)), cells.off.T])
+    k, h = sum(widths), len(heads)
     kinds = {(one.roughness, one.motion): one for one in places}
     whites, logs = [], np.empty(len(kinds))
     for i, one in enumerate(kinds.values()):
@@ -171,12 +173,12 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
     at = [list(kinds).index((one.roughness, one.motion)) for one in places]
     both = white[:, :, :k].transpose(0, 2, 1) @ white
     # The sums of one kind: of its y and responses, less what the smooth errors explain.
-    y, r = white[:, :, k : k + m], white[:, :, k + m :]
+    y, r = white[:, :, k : k + h] @ heads, white[:, :, k + h :]
     chi, b, a = (np.einsum("pij,pij->pj", u, v)[at] for u, v in ((y, y), (y, r), (r, r)))
     scale = np.repeat(np.array([one.smooth for one in places]), widths, axis=1)[:, :, None]
     inner = scale * both[at, :, :k] * scale.transpose(0, 2, 1) + np.eye(k)
     root, across = _halved(inner, scale * both[at, :, k:])
-    y, r = across[:, :, :m], across[:, :, m:]
+    y, r = across[:, :, :h] @ heads, across[:, :, h:]
     chi, b, a = (
         whole - np.einsum("pij,pij->pj", u, v)
         for whole, u, v in ((chi, y, y), (b, y, r), (a, r, r))
