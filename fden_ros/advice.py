@@ -58,6 +58,7 @@ drift | drift | state force.drift_sd, or press faster
 friction | friction | state force.friction_sd, or press harder
 motion | motion of the surface | state surface.motion_sd, or press faster
 compliance | compliance | state displacement.compliance_sd
+backlash | play of the drive | press deeper, or measure the tip
 delay | delay | measure it by fden configure
 surface | the place of the surface | touch it slower
 law | errors of the law | hold for 2 s, and press here again

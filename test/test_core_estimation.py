@@ -218,6 +218,23 @@ def test_block_by_block_is_the_batch_sum_on_the_same_nodes() -> None:
     np.testing.assert_allclose(b, (rows * own).sum(axis=0), rtol=1e-9)
 
 
+def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_motion() -> None:
+    samples = pressed(2)
+    back = samples.indentations[::-1]
+    turned = samples._replace(indentations=np.append(back[:-1:2], back[::-2])[: back.size])
+    press = gathered(blocks_of(turned), 0.0, 40)
+    law = law_of(press, replace(NOTHING_UNKNOWN, backlash_sd=5e-4))
+    stresses = np.zeros(press.times.size)
+    ((_, whole),) = law.moves(press, stresses)
+    # It turns twice: the tip is behind by the whole play, and where the drive is again.
+    ends = [whole[0], whole.max(), whole[-1]]
+    assert ends == pytest.approx([0.0, 5e-4 / GEOMETRY.length, 0.0], abs=1e-12)
+    for points in range(1, whole.size, 7):
+        tail = press.behind(points, press.middles.size)
+        ((_, own),) = law.moves(tail, stresses[points:])
+        np.testing.assert_array_equal(own, whole[points:])
+
+
 def test_same_samples_in_other_parts_give_the_same_bits() -> None:
     samples = pressed(3)
     found = []

@@ -50,6 +50,22 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
+@pytest.mark.parametrize("stated", [0.0, 5e-4], ids=["unstated", "stated"])
+@pytest.mark.parametrize("play", [3e-4, 6e-4])
+@pytest.mark.parametrize("numbers", counts(1, 8))
+def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good_status(
+    play, stated, numbers
+):
+    case = replace(CASES["backlash_50um"], disturbances=Disturbances(backlash_m=play))
+    claimed = 0
+    for number in range(numbers):
+        (contact,) = trial_of(case, number, {"displacement.backlash_sd": stated}).contacts
+        if contact.converged and not contact.flags:
+            assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
+            claimed += 1
+    assert not stated or claimed >= 0.6 * numbers
+
+
 # Contacts judged by the air after them
 
 

@@ -442,6 +442,7 @@ EFFECTS: dict[str, Effect] = {
     "displacement.compliance": ("yielding", RIGID, 2e-3, closer),
     "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
     "displacement.delay_sd": ("plain", RIGID, 0.01, wider),
+    "displacement.backlash_sd": ("plain", RIGID, 1e-3, wider),
     "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
     "model_discrepancy.sd": (
         "plain",

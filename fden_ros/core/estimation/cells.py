@@ -19,7 +19,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class Press:
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
     #: of the first cells and points alone until it is :meth:`remembered`.
     memory: Array
+    #: Of what is behind some points: the indentations at these [1].
+    earlier: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def end(self) -> float:
@@ -102,7 +104,8 @@ class Press:
         of_points = {name: getattr(self, name)[points:] for name in _OF_POINTS}
         of_cells = {name: getattr(self, name)[cells:] for name in _OF_CELLS}
         first, last = self.first[cells:] - points, self.last[cells:] - points
-        return replace(self, first=first, last=last, **of_points, **of_cells)
+        earlier = self.indentations[:points]
+        return replace(self, first=first, last=last, earlier=earlier, **of_points, **of_cells)
 
     def remembered(self) -> Press:
         """Return it with its whole memory."""

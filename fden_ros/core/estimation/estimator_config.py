@@ -137,6 +137,15 @@ class Uncertainty:
         0.0,
         0.01,
     )
+    backlash_sd: float = parameter(
+        "displacement.backlash_sd",
+        0.0,
+        "Standard deviation of the play of the drive, by which the tip lags after the motion "
+        "turns; 0: none.",
+        "m",
+        0.0,
+        0.1,
+    )
     thickness_sd: float = parameter(
         "geometry.thickness_sd",
         0.02,

@@ -283,7 +283,9 @@ class Law:
 
     def moves(self, press: Press, stresses: Array) -> list[tuple[int, Array]]:
         """Return the places in a state of what moves points, and their columns."""
-        motion = Motion(press.times - press.start, press.indentations, press.speeds, stresses)
+        motion = Motion(
+            press.times - press.start, press.indentations, press.speeds, stresses, press.earlier
+        )
         return [(k, one.column(motion)) for k, (one, _) in enumerate(self.slots, RIG) if one.moves]
 
     def drive(

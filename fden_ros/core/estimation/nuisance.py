@@ -32,6 +32,7 @@ class Motion(NamedTuple):
     indentations: Array  #: [1]
     speeds: Array  #: as far as they are above their noise [1/s]
     stresses: Array  #: by the model [Pa]
+    earlier: Array = np.zeros(0)  #: indentations at the points of the press before these [1]
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,16 @@ def _delay(sd: float, motion: Motion) -> Array:
     return sd * motion.speeds
 
 
+def _backlash(sd: float, motion: Motion) -> Array:
+    # The tip is where the drive is while this pushes, and stays until the play is taken up.
+    path = np.concatenate([motion.earlier, motion.indentations])
+    tip, at = np.empty_like(path), float(path[0])
+    for k, place in enumerate(path.tolist()):
+        at = min(max(at, place), place + sd)
+        tip[k] = at
+    return (tip - path)[motion.earlier.size :]
+
+
 def _friction(sd: float, length: float, motion: Motion) -> Array:
     speed = length * motion.speeds
     # In the air there is none, or it is in the bias.
@@ -114,11 +125,12 @@ def rig_of(config: EstimatorConfig, geometry: Geometry, zero_sd: float, drift_sd
     friction = scale * unsure.friction_sd
     mean = config.friction / unsure.friction_sd if unsure.friction_sd else 0.0
     compliance = unsure.compliance_sd / length / scale
-    delay = unsure.delay_sd
+    delay, backlash = unsure.delay_sd, unsure.backlash_sd / length
     nuisances = (
         Nuisance("compliance", compliance, partial(_compliance, compliance), True, "compliance",
                  has_tails=True),
         Nuisance("delay", delay, partial(_delay, delay), True, "delay", has_tails=True),
+        Nuisance("backlash", backlash, partial(_backlash, backlash), True, "backlash"),
         Nuisance("friction", friction, partial(_friction, friction, length), False, "friction",
                  mean, has_tails=True),
         Nuisance("drift", drift_sd, partial(_drift, drift_sd), False, "drift", is_per_press=True),
