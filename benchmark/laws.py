@@ -141,9 +141,7 @@ _ALL = (
     _own("poroelastic_20", "poroelastic, 20 s", relaxation=poroelastic(20.0)),
     _own("linear_solid_1", "standard linear solid, 1 s", relaxation=standard_linear_solid(1.0)),
     _own("linear_solid_10", "standard linear solid, 10 s", relaxation=standard_linear_solid(10.0)),
-    _own(
-        "quasi_linear", "quasi-linear viscoelastic", relaxation=quasi_linear(0.15, 0.01, 100.0)
-    ),
+    _own("quasi_linear", "quasi-linear viscoelastic", relaxation=quasi_linear(0.15, 0.01, 100.0)),
     _own("two_springpots", "two fractional elements", relaxation=_TWO),
     Case("springpot_and_spring", "fractional and elastic", _springpot_and_spring),
     # Three times the linear stress at the deepest.

@@ -74,9 +74,7 @@ def row_of(case: Case, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     contacts = [contact for outcome in outcomes for contact in outcome.contacts]
     presses = sum(outcome.presses for outcome in outcomes)
     found = sum(len({c.number for c in o.contacts if c.number >= 0}) for o in outcomes)
-    is_clear = case.detection and (
-        peak_n(scenario_of(case, 0)) >= _CLEAR * case.largest_noise_n
-    )
+    is_clear = case.detection and (peak_n(scenario_of(case, 0)) >= _CLEAR * case.largest_noise_n)
     fine = [
         bool(c.flags & Flag.MODEL_MISMATCH) and not c.is_off for c in contacts if c.number >= 0
     ]

@@ -279,5 +279,3 @@ def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
     assert read.values == list(range(10_000, 30_000))
     assert backlog.received["force"] == 20_000
     assert backlog.received_ns == 29_999
-
-

@@ -206,5 +206,3 @@ def test_a_recording_that_a_worker_does_not_see_is_done_again(tmp_path):
     results = batch.Results(tmp_path / "results.csv", WORK.digest())
     results.add(rows)
     assert not batch.Results(results.path, WORK.digest()).has("/nowhere/press.mcap")
-
-

@@ -321,8 +321,6 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
         assert own[-1].classes.label == summary.classes.label == "liver"
 
 
-
-
 def test_a_tare_takes_the_force_in_the_air_away() -> None:
     probe = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
     pipeline, _ = begun(probe | {"force.measure_bias": False, "force.threshold": 0.1})

@@ -282,5 +282,3 @@ def test_stamps_that_are_no_whole_nanoseconds_and_arrays_for_samples_are_refused
                 add(stamp, 0.1)
         with pytest.raises(TypeError, match="one number at a time"):
             add(2, np.zeros(3))
-
-

@@ -52,5 +52,3 @@ def test_a_press_is_the_same_tissue_in_any_size(peak: str, size: float, stress: 
     assert estimate.linear_stiffness / stress == pytest.approx(448.0, rel=0.02)
     assert estimate.nonlinear_stiffness == pytest.approx(9.0, rel=0.02)
     assert slope.value / (size * stress) == pytest.approx(43.0, rel=0.04)
-
-

@@ -433,5 +433,3 @@ def test_force_has_the_error_of_the_stated_course(given, expected):
     edges = np.array([start, start + 1.25, start + 2.25, stop])
     away = np.all(np.abs(times[:, None] - edges) > 0.01, axis=1)
     np.testing.assert_allclose(error[away], expected(times, start, stop)[away], atol=1e-7)
-
-

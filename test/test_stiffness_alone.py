@@ -108,5 +108,3 @@ def test_strokes_are_told_from_presses_once_and_while_they_come(
     # As what is odd about the input, for ten looks, and never again.
     assert sum(said) == (10 if is_told else 0)
     assert sum(REMEDY in words for words in pipeline.warnings) == is_told
-
-

@@ -37,6 +37,8 @@ from simulation.simulate import KNOWN_RIG, simulate
 from simulation.trajectory import RampHold
 
 RADIUS = 0.005
+
+
 def factor(sphere: Sphere, depth: float) -> float:
     """Return by what factor a layer raises the force of Hertz."""
     compression = depth / sphere.length

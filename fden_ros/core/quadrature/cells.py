@@ -15,6 +15,7 @@ and its points append columns; older cells never see newer points.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ CREEP_RATES: Array = np.append(RATES, 0.0)
 #: The stress falls to 0 within this time at the end of a press [s].
 _LETTING_GO = 1e-3
 #: A rise is cut where it is longer than this part of the largest indentation [1].
-_DEPTH_STEPS = 80.0
+_DEPTH_STEPS = 160.0
+#: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
+_FORGOTTEN = -60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,11 @@ class Press:
     def end(self) -> float:
         """When the stress is over [s]."""
         return float(self.times[-1]) + _LETTING_GO
+
+    @functools.cached_property
+    def into_moments(self) -> Array:
+        """What makes the moments at its end of stresses at its cells, (33, N)."""
+        return _moments_of(self)
 
     def appended(self, block: Block, noise_sd: float) -> Press:
         """Return the press with one block more; one that was not observed adds points alone."""
@@ -107,17 +115,32 @@ class Press:
         elapsed = np.diff(self.times, prepend=self.times[0])
         y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
         own = 0.5 * -np.expm1(-y) / y
-        for ends in (self.first[done:], self.last[done:]):
-            since = self.times[ends][:, None] - self.times
-            seen = since >= 0.0
-            left = np.exp(-np.multiply.outer(RATES, np.maximum(since, 0.0)))
-            found[:-2, done:] += np.where(seen, left, 0.0) * own[:, None, :]
-            found[-2, done:] += 0.5 * seen
-            steps, rows = elapsed[ends], np.arange(done, size)
+        rows, first, last = np.arange(done, size), self.first[done:], self.last[done:]
+        since = self.times[first][:, None] - self.times
+        is_seen = since >= 0.0
+        left = np.multiply.outer(-RATES, np.where(is_seen, since, np.inf))
+        np.exp(np.maximum(left, _FORGOTTEN, out=left), out=left)
+        decay = np.multiply.outer(-RATES, self.times[last] - self.times[first])
+        np.multiply(left, 1.0 + np.exp(decay)[:, :, None], out=found[:-2, done:])
+        # Of the points between the two of a cell only the second sees anything.
+        cell, point = np.nonzero(
+            (self.times > self.times[first][:, None]) & (self.times <= self.times[last][:, None])
+        )
+        between = np.multiply.outer(-RATES, self.times[last[cell]] - self.times[point])
+        found[:-2, done + cell, point] = np.exp(between)
+        found[-2, done:] = is_seen
+        found[-2, done + cell, point] = 0.5
+        for ends in (first, last):
+            steps = elapsed[ends]
             found[-1, rows, ends] += np.divide(
                 0.5, steps, out=np.zeros_like(steps), where=steps > 0.0
             )
+        found[:-2, done:] *= own[:, None, :]
         return replace(self, memory=found)
+
+    def forgotten(self) -> Press:
+        """Return it without its memory, which takes 50 times as much as all else."""
+        return replace(self, memory=np.zeros((RATE_COUNT + 2, 0, 0)))
 
 
 _OF_POINTS = "times", "indentations", "speeds"
@@ -296,7 +319,7 @@ def _slices(sizes: Sequence[int]) -> list[slice]:
     return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
 
 
-def moments_of(press: Press) -> Array:
+def _moments_of(press: Press) -> Array:
     """Return what makes the moments at the press's end of stresses at its cells, (33, N).
 
     The stress is linear between the cells, from 0 at the first point to 0 at the end.

@@ -9,7 +9,7 @@ r"""The covariance S of the cells of a place: one matrix for all nodes.
 
 - X: by what each unknown changes the cells; as Gaussians the unknowns are covariance.
 - S_w: random walks: the law's roughness over the change of ln psi and of ln age of the loading,
-  the force's zero anew in each press, the surface against its stiffness.
+  the force's zero and the surface against its stiffness, anew in each press.
 - S_v: noise of force and motion, and what the two points of a cell miss.
 
 The sizes of the law's errors and of the surface's motion, :class:`Scales`, are weighed on a grid.
@@ -157,7 +157,9 @@ class Covariance:
         self.fixed = np.diag(self.noise) + rig @ rig.T
         self.fixed += same * least(clocks.force, clocks.force)
         self._rough = same * least(clocks.roughness, clocks.roughness)
-        self._motion = np.outer(clocks.gain, clocks.gain) * least(clocks.surface, clocks.surface)
+        self._motion = (
+            same * np.outer(clocks.gain, clocks.gain) * least(clocks.surface, clocks.surface)
+        )
 
     def _rig_variances(self) -> Array:
         """Return the variances of the rig: with tails wider where it is off."""
@@ -190,14 +192,11 @@ class Covariance:
 
     def walked(self, press: Press) -> tuple[Array, Array]:
         """Return the variances of force [Pa^2] and surface [1] at the cells of a press, (N,)."""
-        elapsed, first = press.middles - press.start, self.law.place.presses[0].start
+        elapsed = press.middles - press.start
         force, surface = np.zeros((2, elapsed.size))
         for walk in self.law.rig.walks:
-            if walk.is_stress:
-                force += walk.sd**2 * elapsed + walk.start_sd**2
-            else:
-                # It goes on through a pause.
-                surface += walk.sd**2 * (press.middles - first) + walk.start_sd**2
+            walked = force if walk.is_stress else surface
+            walked += walk.sd**2 * elapsed + walk.start_sd**2
         return force, surface
 
     def _noise_of_cells(self) -> Array:
@@ -278,7 +277,7 @@ def shifts_of(law: Law, about: Expansion, columns: Array) -> Array:
 
 
 def _order_of(law: Law, about: Expansion) -> float:
-    return round(float(about.theta[0]), 3) if law.has_kernel_error else 0.3
+    return max(round(float(about.theta[0]), 3), 1e-3) if law.has_kernel_error else 0.3
 
 
 def near(grid: Sequence[Scales], scales: Scales) -> list[Scales]:

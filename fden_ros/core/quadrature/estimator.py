@@ -18,6 +18,7 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
+    Budget,
     Claims,
     Component,
     Estimate,
@@ -25,14 +26,15 @@ from fden_ros.core.estimation import (
     Evidence,
     LawError,
     ParameterSet,
+    Prior,
     claims_of,
     converged,
     moments,
 )
 from fden_ros.core.law import Geometry
-from fden_ros.core.quadrature.filter import Innovation
+from fden_ros.core.quadrature.face import CellInnovation, Touch
 from fden_ros.core.quadrature.grid import Grid
-from fden_ros.core.quadrature.place import PlacePosterior, Setting, Touch
+from fden_ros.core.quadrature.place import PlacePosterior, Setting
 from fden_ros.core.quadrature.posterior import Posterior
 from fden_ros.core.quadrature.small_motion import SmallMotion
 
@@ -41,8 +43,13 @@ from fden_ros.core.quadrature.small_motion import SmallMotion
 _UNSEEN = 0.5
 #: Odds at which a place is dropped [1].
 _ODDS = 20.0
+#: The log evidence of a grid that is not settled is low by less than this [1].
+_LOW = 10.0
 #: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
 _SIMILAR = np.array([0.3, 0.15, 0.04])
+#: Deviations by which the order of the relaxation is another than is stated; its own are not less
+#: than this [1].
+_CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 #: Probability of a plateau from which on the law is contradicted [1].
 _MISMATCH = 0.95
 
@@ -73,6 +80,7 @@ class _Part:
     covariance: Array
     claims: Claims
     beyond: float
+    is_order_contradicted: bool
 
 
 class QuadratureEstimator:
@@ -99,7 +107,7 @@ class QuadratureEstimator:
         self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
-        self._law_error: tuple[Grid, LawError | None] | None = None
+        self._law_errors: dict[int, tuple[Grid, LawError | None]] = {}  #: by place
 
     def may_continue(self, other: QuadratureEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -127,10 +135,13 @@ class QuadratureEstimator:
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
         self._now = self._touched_at = self._now + pause
+        # Evidences compare where the records are of the same data.
+        reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
             one.base = one.place.log_evidence
             approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
-            one.place.touch(onset._replace(approach=approach), self._now)
+            own = onset._replace(approach=approach)
+            one.place.touch(own, self._now, reach - one.shift if one.place.reach else 0.0)
 
     def add(
         self,
@@ -151,6 +162,8 @@ class QuadratureEstimator:
             Whether the probe is on the tissue, as far as is known.
         """
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
+            if self._touched_at + time < self._now:
+                continue  # the press before had it
             self._now = self._touched_at + time
             for one in self._hypotheses:
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
@@ -161,12 +174,21 @@ class QuadratureEstimator:
         """End the press; return the estimate."""
         for one in self._hypotheses:
             one.place.release()
-        # One that is not solved is not weighed.
-        solved = [one for one in self._hypotheses if one.place.is_settled]
-        if solved:
-            least = max(one.log_weight for one in solved) - math.log(_ODDS)
-            self._hypotheses = [one for one in solved if one.log_weight >= least]
+        self._hypotheses = self._possible()
         return self.estimate()
+
+    def _possible(self) -> list[_Hypothesis]:
+        """Return the places that are not far less likely than a settled one.
+
+        One that is not settled may be likelier than it seems.
+        """
+        settled = [one.log_weight for one in self._hypotheses if one.place.is_settled]
+        least = max(settled, default=-math.inf) - math.log(_ODDS)
+        return [
+            one
+            for one in self._hypotheses
+            if one.log_weight >= least - (0.0 if one.place.is_settled else _LOW)
+        ]
 
     # What else the pipeline needs
 
@@ -176,9 +198,30 @@ class QuadratureEstimator:
         return max(self._hypotheses, key=lambda one: one.log_weight).place
 
     @property
-    def innovation(self) -> Innovation | None:
+    def innovation(self) -> CellInnovation | None:
         """Of the newest block; None: it was not predicted."""
         return self.best.innovation
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the newest block is beyond the gate."""
+        return self.best.is_beyond
+
+    @property
+    def rig_misfit(self) -> float:
+        """How far a contact says the rig is from what is stated, in standard deviations [1]."""
+        posterior = self.best.posterior()
+        return posterior.rig_conflict if posterior is not None else 0.0
+
+    def budget(self) -> Budget | None:
+        """Return what makes the estimate uncertain; None: not known."""
+        posterior = self.best.posterior()
+        if posterior is None:
+            return None
+        variances = posterior.tissue[1].diagonal()
+        whole = float(variances[0]), float(variances[1])
+        noise_sd = self._setting.noise_sd
+        return Budget(whole, posterior.shares(), noise_sd, math.sqrt(float(variances[3])))
 
     @property
     def is_changed(self) -> bool:
@@ -221,8 +264,18 @@ class QuadratureEstimator:
         beyond = posterior.probability_beyond(one.place.deepest)
         mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
         sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-        claims = claims_of(config, Evidence(mean[:3], sds[:3], beyond, one.place.is_settled))
-        return _Part(weight, one.place, posterior, mean, covariance, claims, beyond)
+        evidence = Evidence(
+            mean[:3],
+            sds[:3],
+            beyond,
+            one.place.is_settled,
+            _contradicts_order(config.prior, self._law_error_of(one.place, posterior)),
+        )
+        claims = claims_of(config, evidence)
+        return _Part(
+            weight, one.place, posterior, mean, covariance, claims, beyond,
+            evidence.is_order_contradicted,
+        )  # fmt: skip
 
     def _prior(self) -> Estimate:
         config = self._setting.config
@@ -252,8 +305,8 @@ class QuadratureEstimator:
             known &= part.claims.known
             at_edge |= part.claims.at_edge
         known &= converged(config, sds[:3], observable)
-        is_open = any(one.place.filter is None for one in self._hypotheses)
-        if is_open or self.is_changed:
+        is_solved = all(one.place.is_settled for one in self._possible())
+        if not is_solved or self.is_changed:
             known = ParameterSet.NONE
         best = max(parts, key=lambda part: part.weight)
         grid = best.posterior.grid
@@ -271,21 +324,22 @@ class QuadratureEstimator:
             known=known,
             at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
-            mean_dwell_time=best.posterior.mean_dwell_time,
-            law_error=self._law_error_of(best),
+            mean_dwell_time=best.posterior.state.mean_dwell_time,
+            law_error=self._law_error_of(best.place, best.posterior),
+            is_order_contradicted=any(part.is_order_contradicted for part in parts),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
             components=_components(parts),
             small_motions=self._small_motions(parts),  # type: ignore[arg-type]
         )
 
-    def _law_error_of(self, part: _Part) -> LawError | None:
-        """Return the errors of the law by the newest grid."""
-        grid = part.posterior.grid
-        if self._law_error is None or self._law_error[0] is not grid:
-            found = part.posterior.law_error(part.place.elapsed, part.place.deepest)
-            self._law_error = grid, found
-        return self._law_error[1]
+    def _law_error_of(self, place: PlacePosterior, posterior: Posterior) -> LawError | None:
+        """Return the errors of the law by the newest grid of a place."""
+        grid, found = self._law_errors.get(id(place), (None, None))
+        if grid is not posterior.grid:
+            found = posterior.law_error(place.elapsed, place.deepest)
+            self._law_errors[id(place)] = posterior.grid, found
+        return found
 
     def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
         shifts = {id(one.place): one.shift for one in self._hypotheses}
@@ -295,8 +349,16 @@ class QuadratureEstimator:
             is_seen = part.place.has_slowed or part.place.presses > 1
             unseen = 0.0 if is_seen else sd**2
             shift = shifts[id(part.place)]
-            found.append(SmallMotion(part.posterior, part.weight, shift, unseen=unseen))
+            found.append(SmallMotion(part.posterior, self._now, part.weight, shift, unseen=unseen))
         return tuple(found)
+
+
+def _contradicts_order(prior: Prior, error: LawError | None) -> bool:
+    """Whether the relaxation is that of another alpha than is stated."""
+    if error is None:
+        return False
+    both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
+    return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
 
 
 def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
@@ -317,8 +379,8 @@ def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
 
 
 def _components(parts: Sequence[_Part]) -> tuple[Component, ...]:
-    """Return at most 8 Gaussians of (ln G, ln Gn, alpha)."""
-    most = (8, 4, 2)[len(parts) - 1]
+    """Return at most 6 Gaussians of (ln G, ln Gn, alpha)."""
+    most = 4 if len(parts) == 1 else 2
     return tuple(
         component._replace(weight=part.weight * component.weight)
         for part in parts

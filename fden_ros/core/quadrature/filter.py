@@ -16,7 +16,9 @@ Nordlund, IEEE Trans. Signal Process. 53, 2005). There is no other approximation
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,6 +29,7 @@ from fden_ros.core.law import RATES
 from fden_ros.core.quadrature.cells import Press
 from fden_ros.core.quadrature.covariance import JITTER, Clocks, Scales, shifts_of
 from fden_ros.core.quadrature.discrepancy import KERNEL, KERNEL_HATS
+from fden_ros.core.quadrature.face import CellInnovation
 from fden_ros.core.quadrature.grid import (
     Grid,
     Stiffness,
@@ -36,30 +39,20 @@ from fden_ros.core.quadrature.grid import (
     of_stiffness,
     prior_of_log_g,
     solved,
+    whitened,
 )
 from fden_ros.core.quadrature.law import of_cells
+from fden_ros.core.quadrature.record import Block
 
 #: Cells that a filter takes before its grid is laid anew [1].
 _ROOM = 48
-
-
-class Innovation(NamedTuple):
-    """How one cell compares with its prediction by all nodes [Pa, Pa, Pa^2]."""
-
-    predicted: float
-    innovation: float
-    variance: float
-
-    @property
-    def normalized_squared(self) -> float:
-        """Normalised innovation squared (NIS) [1]."""
-        return self.innovation**2 / self.variance
+#: Places of the scales that are less likely do not predict [1].
+_LEAST_SHARE = 0.02
 
 
 class _Row(NamedTuple):
     """What a new cell adds."""
 
-    stress: float  #: by the model [Pa]
     column: Array  #: (k,)
     responses: Array  #: (M,)
     clocks: Clocks
@@ -75,24 +68,26 @@ class Filter:
         Which was laid last.
     count : int
         Cells by now.
+    stiffness : Stiffness
+        Ln G, its variance and the log evidence of all nodes, mixed over the scales. These are
+        weighed at a laying; between two the likelihood under the leading ones counts.
+    weights : ndarray, shape (M,)
+        Of the nodes.
+    log_evidence : float
+        Of the record by now.
     """
+
+    stiffness: Stiffness
+    weights: Array
+    log_evidence: float
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         law, linear = grid.law, grid.linear
-        self.scales: Scales = grid.start.scales
         self._heads = grid.cells.y.shape[1]
-        self._prior = grid.covariance.prior(self.scales)
         self._press = law.place.presses[-1]
-        self._begin_rows()
-        rows = self.white[: self.count, self._heads + law.size :]
-        own = self.white[: self.count, : self._heads]
-        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
-        self._a = np.einsum("ij,ij->j", rows, rows)
-        self._b = np.einsum("ij,ij->j", own, rows)
-        diagonal = grid.lower.diagonal()
-        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(diagonal).sum()
-        self._first = self._now = self._weighed()
+        self._taken: list[tuple[_Row, float]] = []  #: new cells, and their stresses [Pa]
+        self._begin(grid.start.scales, grid.lower, grid.white, grid.stiffness)
         # Rates of the lead, its changes, and the nodes.
         drive = linear.drive
         self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
@@ -108,55 +103,60 @@ class Filter:
         )
         self._stresses = linear.stresses[-2:].tolist()
         self._middles = self._press.middles[-2:].tolist()
-        self._loading, self._clocks = grid.covariance.loading, grid.covariance.clocks
+        self._loading = grid.covariance.loading
+        self._rough = float(self._clocks.roughness[-1])
 
-    def _begin_rows(self) -> None:
-        grid = self.grid
-        self.count, width = grid.white.shape
+    def _begin(
+        self, scales: Scales, lower: Array, white: Array, stiffness: Stiffness | None
+    ) -> None:
+        """Begin at the grid's own cells, at some scales.
+
+        `stiffness`: of the nodes, mixed over the scales; None: at these alone.
+        """
+        grid, law = self.grid, self.grid.law
+        self.scales, self._prior = scales, grid.covariance.prior(scales)
+        self.count, width = white.shape
         size = self.count + _ROOM
         self.lower = np.zeros((size, size), order="F")
-        self.lower[: self.count, : self.count] = grid.lower
+        self.lower[: self.count, : self.count] = lower
         self.white = np.zeros((size, width))
-        self.white[: self.count] = grid.white
-        self.columns = np.zeros((size, grid.law.size))
+        self.white[: self.count] = white
+        self.columns = np.zeros((size, law.size))
         self.columns[: self.count] = grid.linear.columns
+        rows, own = white[:, self._heads + law.size :], white[:, : self._heads]
+        own = own[:, :1] + own[:, 1:] @ grid.cells.off.T
+        self._a = np.einsum("ij,ij->j", rows, rows)
+        self._b = np.einsum("ij,ij->j", own, rows)
+        self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
+        self._clocks = grid.covariance.clocks
+        self._first = self._now = self._weighed(None)
+        self._mixed = stiffness or self._first
+        self._mix()
 
     @property
     def is_full(self) -> bool:
         """Whether there is no room for another cell."""
         return self.count >= len(self.lower)
 
-    @property
-    def stiffness(self) -> Stiffness:
-        """Ln G, its variance and the log evidence of all nodes, mixed over the scales.
-
-        These are weighed at a laying; between two the likelihood under the leading ones counts.
-        """
-        mixed, first, now = self.grid.stiffness, self._first, self._now
-        return Stiffness(
+    def _mix(self) -> None:
+        """Weigh the nodes."""
+        grid, mixed, first, now = self.grid, self._mixed, self._first, self._now
+        self.stiffness = Stiffness(
             mixed.log_g + now.log_g - first.log_g,
             mixed.variance * now.variance / first.variance,
             mixed.log + now.log - first.log,
         )
-
-    @property
-    def weights(self) -> Array:
-        """Of the nodes, (M,)."""
-        grid = self.grid
-        return np.asarray(np.exp(cut(grid.law, grid.nodes, self.stiffness.log + grid.log_prior)))
+        log = self.stiffness.log + grid.log_prior
+        self.weights = np.exp(cut(grid.law, grid.nodes, log))
+        self.log_evidence = log_evidence_of(grid.law, log)
 
     @property
     def log_leading(self) -> float:
         """Log evidence of the record by now at the leading scales, with their prior as it is."""
         return float(log_sum(self._now.log + self.grid.log_prior))
 
-    @property
-    def log_evidence(self) -> float:
-        """Log evidence of the record by now."""
-        return log_evidence_of(self.grid.law, self.stiffness.log + self.grid.log_prior)
-
-    def _weighed(self) -> Stiffness:
-        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law))
+    def _weighed(self, begin: Array | None) -> Stiffness:
+        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law), begin)
         return found._replace(log=found.log - self._rest)
 
     @property
@@ -180,46 +180,98 @@ class Filter:
         slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
         return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
 
-    def append(self, press: Press) -> Innovation | None:
+    def forget(self) -> None:
+        """Keep no memory of the presses: the newest has ended, and it can be made anew."""
+        place = self.grid.law.place
+        place = replace(place, presses=tuple(press.forgotten() for press in place.presses))
+        self.grid.law = self.grid.covariance.law = replace(self.grid.law, place=place)
+        self._press = self._press.forgotten()
+
+    def append(self, press: Press) -> CellInnovation | None:
         """Take the press with one block more; None: it was not observed, or there is no room."""
-        points = self._press.times.size
-        tail = press.behind(points, self._press.middles.size)
+        tail = press.behind(self._press.times.size, self._press.middles.size)
         row = self._row(tail)
         self._press = press
         if row is None or self.is_full:
             return None
+        stress = float(tail.stresses[0])
+        self._taken.append((row, stress))
+        return self._take(row, stress)
+
+    def _take(self, row: _Row, stress: float) -> CellInnovation:
         n, k = self.count, self._heads + self.grid.law.size
-        x, weights = self._prior @ row.column, self.weights
-        lower = self.lower[:n, :n]
-        across = self.columns[:n] @ x + self._walked(row.clocks)
-        own = solved(lower, across[:, None])[:, 0]
-        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
-        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
-        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
-        shift[0] += float(tail.stresses[0])
-        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        own, root, white = self._whitened(row, stress)
         self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
         self._clocks = self._clocks.added(row.clocks)
-        self._stresses = [self._stresses[-1], row.stress]
-        self._middles = [self._middles[-1], float(tail.middles[0])]
         seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
-        found = self._innovation(float(tail.stresses[0]), root, seen, white[k:], weights)
+        off, variance = self._off(root, seen, white[k:])
         self._a = self._a + white[k:] ** 2
         self._b = self._b + seen * white[k:]
         self._rest = self._rest + 0.5 * seen**2 + math.log(root)
-        self._now = self._weighed()
+        self._now = self._weighed(self._now.log_g)
+        self._mix()
+        return CellInnovation(stress - off, off, variance)
+
+    def ahead(self, times: Array, indentations: Array) -> tuple[Array, Array]:
+        """Return mean and variance of the stress along a motion to come [Pa, Pa^2], (n,) each.
+
+        Given the data each node predicts it as a Gaussian (kriging), at each likely place of the
+        scales; the parameters are its times [s] and indentations [1], of shape (n,).
+        """
+        rows, state = [], copy.copy(self)
+        for time, indentation in zip(times.tolist(), indentations.tolist(), strict=True):
+            block = Block(time, 0.0, indentation, 0.0, 0.0, 0.0, 0.0, 1, 0.0, True)
+            press = state._press.appended(block, 0.0)
+            row = state._row(press.behind(state._press.times.size, state._press.middles.size))
+            assert row is not None
+            state._press = press
+            rows.append(row)
+        likely = [(one, share) for one, share in self.grid.scales if share > _LEAST_SHARE]
+        shares = np.array([share for _, share in likely])
+        found = np.array([self._at(one)._predicted(rows) for one, _ in likely])
+        means, variances = found.transpose(2, 0, 1)
+        shares /= shares.sum()
+        mean = shares @ means
+        return mean, shares @ (variances + (means - mean) ** 2)
+
+    def _at(self, scales: Scales) -> Filter:
+        """Return the filter of the same cells at other scales."""
+        found, grid = copy.copy(self), self.grid
+        found._begin(scales, *whitened(grid.law, grid.covariance, scales, grid.cells), None)
+        for row, stress in self._taken:
+            found._take(row, stress)
         return found
 
-    def _innovation(
-        self, stress: float, root: float, seen: Array, rows: Array, weights: Array
-    ) -> Innovation:
-        stiffness = self.stiffness
-        by_g = rows * np.exp(stiffness.log_g)
+    def _predicted(self, rows: Sequence[_Row]) -> list[tuple[float, float]]:
+        """Return mean and variance of the stress of cells of which there are no data."""
+        found, k = [], self._heads + self.grid.law.size
+        for row in rows:
+            _, root, white = self._whitened(row, 0.0)
+            seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+            off, variance = self._off(root, seen, white[k:])
+            found.append((-off, variance))
+        return found
+
+    def _whitened(self, row: _Row, stress: float) -> tuple[Array, float, Array]:
+        """Return the row of L of a new cell, its diagonal, and the cell's row, whitened."""
+        n, x = self.count, self._prior @ row.column
+        across = self.columns[:n] @ x + self._walked(row.clocks)
+        own = solved(self.lower[:n, :n], across[:, None])[:, 0]
+        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
+        root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
+        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
+        shift[0] += stress
+        white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
+        return own, root, white
+
+    def _off(self, root: float, seen: Array, rows: Array) -> tuple[float, float]:
+        """Return by how much a cell is off its prediction, and the variance of that."""
+        by_g = rows * np.exp(self.stiffness.log_g)
         each = root * (seen - by_g)
-        mean = float(weights @ each)
-        spread = root**2 * (1.0 + by_g**2 * stiffness.variance) + (each - mean) ** 2
-        return Innovation(stress - mean, mean, float(weights @ spread))
+        mean = float(self.weights @ each)
+        spread = root**2 * (1.0 + by_g**2 * self.stiffness.variance) + (each - mean) ** 2
+        return mean, float(self.weights @ spread)
 
     def _row(self, tail: Press) -> _Row | None:
         """Take the points of a block; return the row of its cell, None where it has none."""
@@ -228,23 +280,29 @@ class Filter:
         about = replace(grid.about, stresses=self.stress_ahead(times))
         drive = law.drive(tail, slice(None), grid.nodes, about, grid.linear.free)
         driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
-        total, by_rate = np.zeros(driven.shape[1]), np.zeros(RATES.size + 2)
-        points = [] if not tail.middles.size else [int(tail.first[0]), int(tail.last[0])]
-        before = float(self._press.times[-1])
-        for k, own in enumerate(driven):
-            seconds = max(float(times[k]) - before, 1e-9)
-            rise, before = own - self._driven, float(times[k])
-            rate = RATES * seconds
-            gain = -np.expm1(-np.maximum(rate, 1e-12)) / np.maximum(rate, 1e-12)
-            self._left = np.exp(-rate)[:, None] * self._left + np.outer(gain, rise)
-            self._driven = own
-            part = 0.5 * points.count(k)
-            if part:
-                rates = np.vstack([self._left, own, rise / seconds])
-                total += part * np.einsum("rc,rc->c", self._weights, rates)
-                by_rate += part * self._weights[:, 0] * rates[:, 0]
-        if not points:
+        rises = np.diff(driven, axis=0, prepend=self._driven[None])
+        seconds = np.maximum(np.diff(times, prepend=self._press.times[-1]), 1e-9)
+        y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)
+        since = times[:, None] - times
+        left = np.exp(np.multiply.outer(-RATES, np.where(since >= 0.0, since, np.inf)))
+        # What is left of the rises, and of all before, at each point.
+        into = left * (-np.expm1(-y) / y)[:, None, :]
+        decay = left[:, :, 0] * np.exp(-y[:, :1])
+        before = self._left
+        self._left, self._driven = decay[:, -1:] * before + into[:, -1] @ rises, driven[-1]
+        if not tail.middles.size:
             return None
+        points = [int(tail.first[0]), int(tail.last[0])]
+        rates = np.vstack(
+            [
+                decay[:, points].mean(axis=1)[:, None] * before
+                + into[:, points].mean(axis=1) @ rises,
+                driven[points].mean(axis=0),
+                (rises[points] / seconds[points, None]).mean(axis=0),
+            ]
+        )
+        total = np.einsum("rc,rc->c", self._weights, rates)
+        by_rate = self._weights[:, 0] * rates[:, 0]
         k = 1 + law.size
         column = total[1:k]
         if law.has_kernel_error:
@@ -253,27 +311,35 @@ class Filter:
         law.add_stress_columns(tail, number, column[None])
         load, gain, steepest = of_cells(tail, drive)
         clocks = self._clocks_after(tail, float(total[0]), load, gain)
+        self._stresses = [self._stresses[-1], float(total[0])]
+        self._middles = [self._middles[-1], float(tail.middles[0])]
         noise = grid.covariance.noise_of(
             tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
         )
-        return _Row(float(total[0]), column, total[k:], clocks, float(noise[0]))
+        return _Row(column, total[k:], clocks, float(noise[0]))
 
     def _clocks_after(self, tail: Press, stress: float, load: Array, gain: Array) -> Clocks:
-        """Return how far the walks have gone at a new cell."""
+        """Return how far the walks have gone at a new cell, the newest from now on."""
         covariance = self.grid.covariance
         seconds = float(tail.middles[0]) - self._middles[-1]
         self._loading, turned = self._loading.after(float(load[0]) + covariance.floor, seconds)
         number = len(self.grid.law.place.presses) - 1
         force, surface = covariance.walked(tail)
-        rough = self._clocks.roughness[-1:] + stress**2 * turned
-        return Clocks(np.array([number]), rough, force, surface, gain * covariance.surface_factor)
+        self._rough = self._rough + stress**2 * turned
+        return Clocks(
+            np.array([number]),
+            np.array([self._rough]),
+            force,
+            surface,
+            gain * covariance.surface_factor,
+        )
 
     def _walked(self, new: Clocks) -> Array:
         """Return the covariance of the walks at all cells with those at a new one."""
         old, scales = self._clocks, self.scales
         same = old.press == new.press
-        found = same * (scales.roughness**2 * old.roughness + old.force)
-        return np.asarray(found + scales.motion**2 * new.gain * old.gain * old.surface)
+        surface = scales.motion**2 * new.gain * old.gain * old.surface
+        return np.asarray(same * (scales.roughness**2 * old.roughness + old.force + surface))
 
     def _walked_to(self, new: Clocks) -> float:
         found = self.scales.roughness**2 * new.roughness + new.force

@@ -33,7 +33,7 @@ from fden_ros.core.law import (
     SPACING,
     Geometry,
 )
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, moments_of
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press
 from fden_ros.core.quadrature.discrepancy import (
     CURVE,
     KERNEL,
@@ -77,12 +77,12 @@ class Expansion:
     by_theta: Array  #: (k, d)
     stresses: Array  #: at the points, by the model [Pa], (n,)
 
-    def at(self, places: slice, nodes: Array | None = None) -> Array:
+    def at(self, places: slice | Indices, nodes: Array | None = None) -> Array:
         """Return some unknowns at nodes, (k, M), or at the node itself, (k,)."""
         found = self.state[places]
         if nodes is not None:
             found = found[:, None] + self.by_theta[places] @ (nodes - self.theta).T
-        return np.clip(found, -_MOST, _MOST)
+        return np.asarray(np.minimum(np.maximum(found, -_MOST), _MOST))
 
 
 class Drive(NamedTuple):
@@ -133,7 +133,7 @@ class _Past:
 
     def after(self, press: Press, nodes: Array, lead: Array, changes: Array) -> _Past:
         """Return it after a press, of whose cells the stresses are given."""
-        decay, into = np.exp(-CREEP_RATES * (press.end - self.end))[:, None], moments_of(press)
+        decay, into = np.exp(-CREEP_RATES * (press.end - self.end))[:, None], press.into_moments
         return _Past(
             press.end,
             decay * self.nodes + into @ np.maximum(nodes, 0.0),
@@ -176,6 +176,8 @@ class Law:
     #: Nodes along each coordinate, and of the broad grid that begins.
     counts: ClassVar[tuple[int, ...]] = (7, 9, 7)
     broad: ClassVar[tuple[int, ...]] = (9, 13, 7)
+    #: They have the moments of the posterior, not its evidence alone.
+    has_close_nodes: ClassVar = True
     has_kernel_error: ClassVar = True
 
     @classmethod
@@ -223,7 +225,9 @@ class Law:
         return mean, sds
 
     def inside(self, nodes: Array) -> Array:
-        """Return whether there are such nodes."""
+        """Return whether there are such nodes; an alpha that is given may be 0."""
+        if self.coordinates[1][0] == 0.0:
+            return np.ones(len(nodes), dtype=bool)
         return np.asarray((nodes[:, 0] >= LOWEST_ORDER) & (nodes[:, 0] <= HIGHEST_ORDER))
 
     def weights(self, nodes: Array) -> Array:
@@ -244,8 +248,10 @@ class Law:
     def shape(self, strain: Array, log_gn: Array | float) -> Array:
         """Return phi for G = 1."""
         gn = np.exp(log_gn)
-        excess = gn * np.abs(strain) - 1.0
-        found = np.exp(np.clip(excess, 0.0, MAX_EXPONENT))
+        excess = gn * np.abs(strain)
+        excess -= 1.0
+        found = np.asarray(np.maximum(excess, 0.0))
+        np.exp(np.minimum(found, MAX_EXPONENT, out=found), out=found)
         found += np.minimum(excess, 0.0)
         found /= gn
         return found if self.geometry.is_one_sided else np.copysign(found, strain)
@@ -269,8 +275,10 @@ class Law:
     def indentations(self, press: Press, at: slice, nodes: Array, about: Expansion) -> Array:
         """Return the indentations of points from the contact point, at nodes, (n, M)."""
         moved: Array = press.indentations[:, None] - nodes[:, -1]
-        for k, column in self.moves(press, about.stresses[at]):
-            moved = moved + np.outer(column, about.at(slice(k, k + 1), nodes)[0])
+        moves = self.moves(press, about.stresses[at])
+        if moves:
+            places, columns = zip(*moves, strict=True)
+            moved += np.column_stack(columns) @ about.at(np.array(places), nodes)
         return moved
 
     def moves(self, press: Press, stresses: Array) -> list[tuple[int, Array]]:
@@ -284,23 +292,25 @@ class Law:
         """Return what drives points of a press; `at`: their places in the expansion's stresses."""
         both = np.vstack([about.theta, nodes])
         strain, by_u = self.strain(self.indentations(press, at, both, about))
-        basis = splines(strain[:, 0], self.last_knot)
+        n, lead_strain = press.times.size, strain[:, 0]
+        near = np.concatenate([lead_strain, np.abs(lead_strain) + 1e-4])
+        basis, ahead = splines(near, self.last_knot).reshape(2, n, -1)
         bend = about.at(CURVE, both)
         psi = self.shape(strain, both[:, self.kernels])
         if bend.any():
             psi *= np.exp(basis @ bend)
         g, own = math.exp(about.log_g), bend[:, 0]
         lead = g * psi[:, 0]
-        tilted = (splines(np.abs(strain[:, 0]) + 1e-4, self.last_knot) - basis) @ own / 1e-4
-        slopes = g * self.slope(strain[:, 0], both[0, self.kernels]) * np.exp(basis @ own)
+        tilted = (ahead - basis) @ own / 1e-4
+        slopes = g * self.slope(lead_strain, both[0, self.kernels]) * np.exp(basis @ own)
         slopes = (slopes + np.abs(lead) * tilted) * by_u[:, 0]
-        changes = np.zeros((press.times.size, about.state.size))
+        changes = np.zeros((n, about.state.size))
         changes[:, CURVE] = lead[:, None] * basis
         for k, column in self.moves(press, about.stresses[at]):
             changes[:, k] = slopes * column
         if free is None:
             return Drive(psi[:, 1:], lead, changes, slopes)
-        out = np.exp(-np.multiply.outer(np.maximum(press.times - free.end, 0.0), CREEP_RATES))
+        out = _left_of(free.end, press)
         surface = out @ free.lead
         touches = (lead > surface)[:, None]
         changes = touches * (changes - out @ free.changes)
@@ -330,14 +340,31 @@ class Law:
 
     def response(self, about: Expansion) -> Array:
         """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
-        return self._run(about.theta[None], about, has_columns=False)[0][:, 0]
+        node, place = about.theta[None], self.place
+        error, bend = KERNEL_HATS @ about.at(KERNEL), about.at(CURVE)
+        weights = self.weights(node)[:, 0] * np.exp(error)
+        back = self.creep(node)[:, 0] * np.exp(-error[:-1])
+        past, end = place.older * math.exp(-about.log_g), place.older_end
+        found: list[Array] = []
+        for press, points in zip(place.presses, place.point_slices, strict=True):
+            strain = self.strain(self.indentations(press, points, node, about))[0][:, 0]
+            psi = self.shape(strain, about.theta[self.kernels])
+            if bend.any():
+                psi *= np.exp(splines(strain, self.last_knot) @ bend)
+            if found or past.any():
+                psi = np.maximum(psi - _left_of(end, press) @ (back * past), 0.0)
+            found.append(weights @ (press.remembered().memory @ np.diff(psi, prepend=0.0)))
+            if len(found) < len(place.presses):
+                decay = np.exp(-CREEP_RATES * (press.end - end))
+                past = decay * past + press.into_moments @ np.maximum(found[-1], 0.0)
+                end = press.end
+        return np.concatenate(found)
 
     def responses(self, nodes: Array, about: Expansion) -> tuple[Array, Linear]:
-        """Return the stress of all cells at nodes for G = 1, (N, M), and what is linear."""
-        return self._run(nodes, about, has_columns=True)
+        """Return the stress of all cells at nodes for G = 1, (N, M), and what is linear.
 
-    def _run(self, nodes: Array, about: Expansion, *, has_columns: bool) -> tuple[Array, Linear]:
-        """Follow the presses of the place: each meets the free surface of those before."""
+        Each press of the place meets the free surface of those before.
+        """
         which, weights, back = self.kernels_of(nodes, about)
         sizes = [press.middles.size for press in self.place.presses]
         found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
@@ -348,16 +375,13 @@ class Law:
         for q, (press, (points, cells)) in enumerate(zip(self.place.presses, slices, strict=True)):
             if past.is_pressed:
                 free = past.free(back, which)
-            drive = self.drive(press, points, nodes, about, free)
+            drive, press = self.drive(press, points, nodes, about, free), press.remembered()
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
                 -1, *press.memory.shape[1:]
             )
             rises = np.diff(drive.nodes, axis=0, prepend=0.0)
             for j, group in enumerate(_groups_of(which)):
                 found[cells, group] = kernels[1 + j] @ rises[:, group]
-            if not has_columns:
-                past = past.after(press, found[cells], stresses[cells], columns[cells])
-                continue
             rise = np.diff(drive.lead, prepend=0.0)
             columns[cells] = kernels[0] @ np.diff(drive.changes, axis=0, prepend=0.0)
             if self.has_kernel_error:
@@ -365,7 +389,8 @@ class Law:
             self.add_stress_columns(press, q, columns[cells])
             stresses[cells] = kernels[0] @ rise
             loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
-            past = past.after(press, found[cells], stresses[cells], columns[cells])
+            if q + 1 < len(sizes):
+                past = past.after(press, found[cells], stresses[cells], columns[cells])
         linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights)
         return found, linear
 
@@ -409,6 +434,11 @@ def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:
     return load, gain, steepest
 
 
+def _left_of(end: float, press: Press) -> Array:
+    """Return what is left of moments at a time [s], at the points of a later press, (n, 33)."""
+    return np.exp(-np.multiply.outer(np.maximum(press.times - end, 0.0), CREEP_RATES))
+
+
 def _groups_of(which: Indices) -> list[Indices]:
     order = np.argsort(which, kind="stable")
     return list(np.split(order, np.cumsum(np.bincount(which))[:-1]))
@@ -424,6 +454,7 @@ class Plateau(Law):
     kernels: ClassVar = 2
     counts: ClassVar[tuple[int, ...]] = (5, 5, 5, 3)
     broad: ClassVar[tuple[int, ...]] = (5, 5, 7, 3)
+    has_close_nodes: ClassVar = False
     has_kernel_error: ClassVar = False
 
     @property

@@ -48,7 +48,7 @@ class Nuisance:
     mean : float
         Of its prior, in standard deviations [1].
     has_tails : bool
-        Its prior is Student's with three degrees of freedom: rigs are off by more than is stated.
+        Its prior is Student's with two degrees of freedom: rigs are off by more than is stated.
     is_per_press : bool
         It is another number in each press.
     source : str

@@ -13,17 +13,25 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import EstimatorConfig
 from fden_ros.core.law import Geometry
-from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered, moments_of
+from fden_ros.core.quadrature.cells import CREEP_RATES, Place, Press, gathered
 from fden_ros.core.quadrature.covariance import Noise
-from fden_ros.core.quadrature.filter import Filter, Innovation
-from fden_ros.core.quadrature.grid import Grid, begun, continued, laid, log_evidence_of, solve
+from fden_ros.core.quadrature.face import CellInnovation, Touch
+from fden_ros.core.quadrature.filter import Filter
+from fden_ros.core.quadrature.grid import (
+    Grid,
+    Start,
+    begun,
+    continued,
+    laid,
+    log_evidence_of,
+    solve,
+)
 from fden_ros.core.quadrature.law import Law
 from fden_ros.core.quadrature.nuisance import rig_of
 from fden_ros.core.quadrature.posterior import Posterior
@@ -41,26 +49,19 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: Rounds at the end of a press [1]; blocks between the rounds of one that is not settled.
-_LAST_ROUNDS, _ROUND_BLOCKS = 12, 3
+#: Rounds at the end of a press [1]; least time between two rounds [s].
+_LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and at its end: scales that were small are left only where the columns are those of
 #: larger ones, and the log evidence was up to 15 lower.
-_ANEW = 2.0
-#: Innovations beyond as many standard deviations, as many blocks in a row: the tissue has changed.
-_GATE, _GATE_BLOCKS = 4.0, 3
+_AFRESH = 2.0
+#: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
+#: blocks in a row: the tissue has changed. A smaller part is an error of law or rig.
+_GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
+#: Or two in a row whose squares add up to this, while no grid is settled [1].
+_UNSETTLED = 1000.0
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
-
-
-class Touch(NamedTuple):
-    """What is known at a touch."""
-
-    bias_sd: float  #: of the stress's zero [Pa]
-    drift_sd: float  #: of its slope [Pa/s]
-    #: Motion before the first sample: times, counted from that [s], indentations [1] and stresses
-    #: [Pa], (3, n).
-    approach: Array
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class PlacePosterior:
     ----------
     filter : Filter or None
         The weighted nodes; None: there are none yet.
-    innovation : Innovation or None
+    innovation : CellInnovation or None
         Of the newest block.
     is_changed : bool
         The tissue under the probe has changed since the touch.
@@ -90,7 +91,7 @@ class PlacePosterior:
     def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
         self.setting = setting
         self.filter: Filter | None = None
-        self.innovation: Innovation | None = None
+        self.innovation: CellInnovation | None = None
         self.deepest = -math.inf
         self.now = 0.0
         self.noise_sd = noise_sd
@@ -101,16 +102,23 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._blocks = 0
-        self._laid_at: tuple[float, float, int] = (0.0, 0.0, 0)  # time, depth, blocks
-        self._fastest = 0.0
+        self._laid_at = 0.0, 0.0  # time [s], depth [1]
+        self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond, self._anew_at = 0, 0.0
+        self._beyond: list[float] = []  #: squares of the newest innovations, while they are beyond
+        self._afresh_at = 0.0
+        self._start: Start | None = None  #: of the next round of a grid from nothing
         self._rival = Rival()
 
     @property
     def presses(self) -> int:
         """Presses so far, with the present one."""
         return len(self._ended) + (self._record is not None)
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the newest block is beyond the gate."""
+        return bool(self._beyond)
 
     @property
     def elapsed(self) -> float:
@@ -140,18 +148,24 @@ class PlacePosterior:
 
     # A press
 
-    def touch(self, touch: Touch, now: float) -> None:
-        """Begin a press at a time [s]."""
-        setting, geometry = self.setting, self.setting.geometry
-        reach = 6.0 * setting.contact_point_sd if geometry.is_one_sided else 0.0
-        # In a later press too, so that records of one touch have the same cells.
-        self._record = Record(self.noise_sd, reach, is_at_rest=geometry.is_one_sided)
+    @property
+    def reach(self) -> float:
+        """How far before its nominal place the surface may be [1]; 0: it is known."""
+        is_one_sided = self.setting.geometry.is_one_sided
+        return 6.0 * self.setting.contact_point_sd if is_one_sided else 0.0
+
+    def touch(self, touch: Touch, now: float, reach: float) -> None:
+        """Begin a press at a time [s]; `reach`: of the motion that its record begins with [1]."""
+        # At rest in a later press too, so that records of one touch have the same cells.
+        is_one_sided = self.setting.geometry.is_one_sided
+        self._record = Record(self.noise_sd, reach, is_at_rest=is_one_sided)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self.now = touch, None, now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest, self._beyond, self._anew_at = 0.0, 0, 0.0
+        self._fastest = self._largest = self._afresh_at = 0.0
+        self._beyond, self._start = [], None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -184,19 +198,26 @@ class PlacePosterior:
                 self._see_innovation(found)
         if self._is_due(block):
             self._lay()
+        elif self._start is not None:
+            self._lay_afresh(self._start)
         elif self._rival.is_due(self._laid_at[0]):
             assert self.filter is not None
             self._rival.lay(self.filter)
 
-    def _see_innovation(self, found: Innovation) -> None:
+    def _see_innovation(self, found: CellInnovation) -> None:
         """Take an innovation: some beyond the gate in a row, and the tissue has changed.
 
         Or it is another one: a grid that is laid anew would take it for an error of the law.
         """
         self.innovation = found
-        is_beyond = found.normalized_squared > _GATE**2 and self.is_settled
-        self._beyond = self._beyond + 1 if is_beyond else 0
-        self.is_changed |= self._beyond >= _GATE_BLOCKS
+        self._largest = max(self._largest, abs(found.predicted + found.innovation))
+        square = found.normalized_squared
+        is_large = abs(found.innovation) > _GATE_PART * self._largest
+        self._beyond = [*self._beyond, square] if is_large and square > _GATE**2 else []
+        count, total = len(self._beyond), sum(self._beyond)
+        self.is_changed |= (
+            count >= _GATE_BLOCKS if self.is_settled else (count > 1 and total > _UNSETTLED)
+        )
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
@@ -214,11 +235,11 @@ class PlacePosterior:
             return False
         if self._press is None:
             return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
-        time, depth, blocks = self._laid_at
+        time, depth = self._laid_at
         assert self.filter is not None
         if self._press.middles.size >= _MOST:
             return True
-        if self._blocks - blocks < _ROUND_BLOCKS:
+        if elapsed - time < _ROUND_TIME:
             return False
         if self._beyond:
             return False
@@ -250,7 +271,8 @@ class PlacePosterior:
     def _law(self, press: Press | None) -> Law:
         setting = self.setting
         assert self._touch is not None
-        presses = tuple(self._ended) + ((press,) if press is not None else ())
+        self._ended = [one.remembered() for one in self._ended]
+        presses = (*self._ended, *((press,) if press is not None else ()))
         place = Place(presses, self._older, self._older_end or presses[0].start)
         rig = rig_of(setting.config, setting.geometry, self._touch.bias_sd, self._touch.drift_sd)
         return Law.of(setting.config, setting.geometry, place, rig, setting.contact_point_sd)
@@ -272,20 +294,39 @@ class PlacePosterior:
             press = gathered(blocks, self.noise_sd, most)
         self._press = press.remembered()
         law = self._law(self._press)
+        if self.filter is not None and law.last_knot != self.filter.grid.law.last_knot:
+            self._start = None  # its errors have other knots
         noise = Noise(self.setting.noise_sd, self.noise_sd)
         if self.filter is None:
             start = begun(law, noise)
         else:
             moments = self._moments()
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
-        grid = laid(law, noise, start)
+        self._take(laid(law, noise, start))
         elapsed = self.now - self._began
-        if most != _GATHERED or (self.has_slowed and elapsed > _ANEW * self._anew_at):
-            self._anew_at = elapsed
-            grid = _likelier(grid, solve(law, noise))
+        if self.has_slowed and elapsed > _AFRESH * self._afresh_at:
+            self._afresh_at, self._start = elapsed, begun(law, noise)
+
+    def _take(self, grid: Grid) -> None:
         self.filter = Filter(grid)
-        self._laid_at = self.now - self._began, self.deepest, self._blocks
+        self._laid_at = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
+
+    def _lay_afresh(self, start: Start) -> None:
+        """Lay one round of a grid from nothing, of the record of the newest grid; take a likelier.
+
+        The record may be longer than that of the round before.
+        """
+        assert self.filter is not None
+        own = self.filter.grid
+        about = own.law.stressed(start.about)
+        grid = laid(own.law, own.noise, start._replace(about=about))
+        self._start = grid.after if grid.after.rounds < _LAST_ROUNDS else None
+        if grid.is_settled:
+            self._start = None
+            if _likelier(own, grid) is grid:
+                self._take(grid)
+                self._lay()
 
     def lay_again(self) -> None:
         """Lay a grid of the presses that have ended."""
@@ -301,13 +342,18 @@ class PlacePosterior:
         for block in self._record.close():
             self._append(block)
         if self._press is not None:
-            for number in range(_LAST_ROUNDS):
-                self._lay(most=_ENDED if number == 0 else _GATHERED)
+            self._lay(most=_ENDED)
+            if self.filter is not None:
+                own = self.filter.grid
+                self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
+            for _ in range(_LAST_ROUNDS):
                 if self.is_settled:
                     break
+                self._lay()
             if self.filter is not None:
                 self._rival.end(self.filter)
-            self._ended.append(self._press)
+                self.filter.forget()
+            self._ended.append(self._press.forgotten())
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
             self._forget()
@@ -317,7 +363,7 @@ class PlacePosterior:
         press = self._ended.pop(0)
         end = self._older_end or press.start
         decay = np.exp(-CREEP_RATES * (press.end - end))
-        self._older = decay * self._older + moments_of(press) @ np.maximum(press.stresses, 0.0)
+        self._older = decay * self._older + press.into_moments @ np.maximum(press.stresses, 0.0)
         self._older_end = press.end
 
     def posterior(self) -> Posterior | None:

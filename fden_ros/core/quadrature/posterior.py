@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from fden_ros.core.quadrature.filter import Filter
 from fden_ros.core.quadrature.grid import Grid, Stiffness, cholesky, open_of, solved
 
 #: Nodes less likely than the best by this factor do not count [1].
-_LEAST = 1e-4
+_LEAST = 1e-3
 #: Places at which errors of the law are read off; the loaded part of the curve [1].
 _PLACES, _LOADED = 16, 0.7
 #: Steps of theta for its derivatives, over its standard deviation [1].
@@ -38,7 +39,7 @@ class Posterior:
     rows: Array  #: y of these, whitened, less their mean response, (N, M)
     responses: Array  #: whitened, times G, (N, M)
     known: Array  #: X P, whitened, (N, k)
-    mean_dwell_time: float  #: mean age of the loading [s]
+    state: Filter  #: as it was
 
     @classmethod
     def of(cls, state: Filter) -> Posterior:
@@ -53,7 +54,7 @@ class Posterior:
         responses = white[:, k + top] * np.exp(stiffness.log_g)
         share = weights[top] / weights[top].sum()
         return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
-                   white[:, heads:k], state.mean_dwell_time)  # fmt: skip
+                   white[:, heads:k], copy.copy(state))  # fmt: skip
 
     @functools.cached_property
     def moments(self) -> tuple[Array, Array]:
@@ -145,7 +146,7 @@ class Posterior:
             return None
         state = self.states @ self.weights
         off = (self.states - state[:, None]) * np.sqrt(self.weights)
-        covariance = grid.covariance.prior(grid.start.scales) - self.known.T @ self.known
+        covariance = grid.prior - self.known.T @ self.known
         covariance += off @ off.T
         mean, _ = self.tissue
         # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
@@ -245,6 +246,7 @@ def _moments(values: Array, weights: Array, variances: Array) -> tuple[Array, Ar
     """Return mean and covariance of weighed values, the first of which have variances."""
     mean = weights @ values
     off = values - mean
-    covariance = (off * weights[:, None]).T @ off
+    root = off * np.sqrt(weights)[:, None]
+    covariance = root.T @ root
     covariance[0, 0] += float(weights @ variances)
     return mean, covariance

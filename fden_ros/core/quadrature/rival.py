@@ -89,9 +89,11 @@ def _probability(law: Grid, rival: Grid) -> float:
     """Return the probability of a rival.
 
     Both count as if ln G were known before to 1 about what the law says: what is stated of a
-    tissue must not decide between two laws.
+    tissue must not decide between two laws. A rival that fits no better contradicts nothing: a
+    law whose alpha the data know well is less likely before.
     """
-    return float(expit(_level(rival, law) - _level(law, law)))
+    fits = float(rival.stiffness.log.max() - law.stiffness.log.max())
+    return float(expit(min(_level(rival, law) - _level(law, law), fits)))
 
 
 def _level(grid: Grid, law: Grid) -> float:

@@ -17,6 +17,7 @@ not known at each node: moments are taken at each, and mixed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -47,6 +48,8 @@ class SmallMotion:
 
     Attributes
     ----------
+    now : float
+        The time of the newest sample [s].
     weight : float
         Of all its nodes [1].
     shift : float
@@ -58,11 +61,11 @@ class SmallMotion:
     """
 
     posterior: Posterior
+    now: float = 0.0
     weight: float = 1.0
     shift: float = 0.0
     variance_factor: float = 1.0
     unseen: float = 0.0
-    solved: tuple[()] = ()
 
     def widened(self, factor: float) -> SmallMotion:
         """Return it with more variance."""
@@ -84,11 +87,13 @@ class SmallMotion:
         """
         posterior, law = self.posterior, self.posterior.grid.law
         state = posterior.states
-        bends = -self._yielding(stress)
+        yielding = self._yielding(1.0)
+        bends = -stress * yielding
         u = compression + self.shift - posterior.nodes[:, -1] + bends @ state
         values, row = self._of_curve(u, state)
-        ahead, _ = self._of_curve(u + _STEP, state)
-        row += bends[:, None] * (ahead - values) / _STEP
+        if bends.any():
+            ahead, _ = self._of_curve(u + _STEP, state)
+            row += bends[:, None] * (ahead - values) / _STEP
         nodes = posterior.nodes
         rates = law.weights(nodes) * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
         rates *= left_after(time_scale)[:, None]
@@ -96,10 +101,23 @@ class SmallMotion:
         row[KERNEL] = KERNEL_HATS.T @ (rates / total)
         values = values + np.log(total) + posterior.stiffness.log_g
         # Of the tissue's indentation in that of both.
-        tool = np.exp(values) * (self._yielding(1.0) @ state)
+        tool = np.exp(values) * (yielding @ state)
         values = values - np.log(np.maximum(1.0 + tool, 1e-3))
         values -= math.log(law.geometry.stress_per_force * law.geometry.length)
         return LogStiffnesses(self.weight * posterior.weights, values, self._variances(row))
+
+    def stresses(self, times: Array, indentations: Array) -> tuple[Array, Array]:
+        """Return mean and variance of the stress along a plan [Pa, Pa^2], (n,) each.
+
+        Parameters
+        ----------
+        times : ndarray, shape (n,)
+            From now on [s].
+        indentations : ndarray, shape (n,)
+            From the nominal contact point [1].
+        """
+        mean, variance = self.posterior.state.ahead(self.now + times, indentations + self.shift)
+        return mean, self.variance_factor * variance
 
     def _yielding(self, stress: float) -> Array:
         """Return what the unknowns take from the indentation at a stress [Pa], (k,) [1]."""
@@ -117,8 +135,9 @@ class SmallMotion:
             self.posterior.nodes[:, self.posterior.grid.law.kernels],
         )
         strain, by_u = law.strain(np.maximum(u, 1e-6))
-        basis = splines(strain, law.last_knot)
-        tilt = (splines(strain + _STEP, law.last_knot) - basis) / _STEP
+        near = np.concatenate([strain, strain + _STEP])
+        basis, ahead = splines(near, law.last_knot).reshape(2, strain.size, -1)
+        tilt = (ahead - basis) / _STEP
         bend = np.clip(state[CURVE], -8.0, 8.0)
         value, slope = law.shape(strain, log_gn), law.slope(strain, log_gn)
         own = np.einsum("mk,km->m", tilt, bend) * value
@@ -131,9 +150,22 @@ class SmallMotion:
         """Return the variances of ln k whose derivatives by the state are given, (k, M)."""
         posterior = self.posterior
         grid = posterior.grid
-        prior = grid.covariance.prior(grid.start.scales)
         known = posterior.known @ row
-        left = np.einsum("km,km->m", row, prior @ row) - np.einsum("nm,nm->m", known, known)
+        left = np.einsum("km,km->m", row, grid.prior @ row) - np.einsum("nm,nm->m", known, known)
         by_g = 1.0 - np.einsum("nm,nm->m", known, posterior.responses)
         found = np.maximum(left, 0.0) + by_g**2 * posterior.stiffness.variance
         return np.asarray(self.variance_factor * found + self.unseen)
+
+
+def stress_ahead(
+    motions: Sequence[SmallMotion], times: Array, indentations: Array
+) -> tuple[Array, Array]:
+    """Return mean and variance of the stress along a plan [Pa, Pa^2] by several posteriors.
+
+    The parameters are those of :meth:`SmallMotion.stresses`.
+    """
+    found = [motion.stresses(times, indentations) for motion in motions]
+    weights = np.array([motion.weight for motion in motions])
+    means, variances = np.array(found).transpose(1, 0, 2)
+    mean = weights @ means
+    return mean, weights @ (variances + (means - mean) ** 2)
