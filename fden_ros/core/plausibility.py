@@ -3,8 +3,8 @@
 
 """Whether what is measured can be what its units say: m, N, s and the sizes of the geometry.
 
-A recording in mm, g or ms gives numbers that look like any others. What tissue under a probe
-cannot do is told here, with the factor that would make it plausible.
+A recording in mm, g or ms gives numbers that look like any others. This module reports values that
+no tissue under a probe has, with the factor that would make them plausible.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fden_ros.written import written
 
 @dataclass(frozen=True)
 class PlausibilityConfig:
-    """What a contact cannot exceed, where the units are right."""
+    """Limits of a contact in the right units."""
 
     most_force: float = parameter(
         "plausibility.max_force",
@@ -54,17 +54,17 @@ _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
-#: Strain from which on a contact is judged before it is over, as a press likely has it: at less
-#: the origin counts.
+#: A contact is judged before its end from this strain on, which a press usually has: below it the
+#: origin matters.
 _LEAST_STRAIN = 0.05
 #: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
 #: cosine is 0.996.
 _TILTED = 0.087
-#: Samples farther apart than this are slow, and closer than this are of no force sensor [s].
+#: Samples farther apart than this are slow; no force sensor has them closer than this [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
 _GROWTH = 1.1
-#: What is likely of a press, for a factor to be named: force [N], strain rate [1/s].
+#: Likely values of a press, to choose a factor by: force [N], strain rate [1/s].
 _LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
 _LENGTHS = {"mm": 1e-3, "mm/10": 1e-4, "cm": 1e-2, "um": 1e-6}
@@ -91,21 +91,21 @@ def stands_against(geometry: Geometry) -> str:
 
 
 class Tilt:
-    """Tells of probes that touch askew, and what it costs."""
+    """Counts touches of a tilted probe, and reports their cost."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self._largest = 0.0
-        self.count = 0  #: of the touches that were
+        self.count = 0  #: of those touches
 
     def see(self, tilt: float) -> None:
-        """Take the angle between axis and normal at a touch [rad]."""
+        """Add the angle between axis and normal at a touch [rad]."""
         self._largest = max(self._largest, tilt)
         self.count += tilt > _TILTED
 
     @property
     def words(self) -> str:
-        """What it is and costs, in one sentence."""
+        """The tilt and its cost, in one sentence."""
         cost = f"the motion along the tool counts as {math.cos(self._largest):.3f} of it in depth"
         if isinstance(self._geometry, FlatPunch):
             width = 2.0 * math.sqrt(self._geometry.area / math.pi)
@@ -133,7 +133,7 @@ class Plausibility:
 
     @property
     def found(self) -> dict[str, int]:
-        """What was implausible of contacts, the first of each kind in words, and how often."""
+        """What was implausible about contacts, the first of each kind in words, with counts."""
         return {words: self.counts[kind] for kind, words in self._words.items()}
 
     def begin(self, onset: Onset) -> None:
@@ -150,7 +150,7 @@ class Plausibility:
     ) -> bool:
         """Judge a contact by its largest strain [1], force [N] and stress [Pa] until a stamp.
 
-        Once it is implausible it is judged again only when it `is_over`, for better words.
+        An implausible one is judged again only when it `is_over`, for a better message.
         """
         if self.standing:
             return False
@@ -244,7 +244,7 @@ class Plausibility:
 
 
 def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
-    """Return what is implausible of a stream, `force` or `displacement`, in words; or empty.
+    """Return what is implausible about a stream, `force` or `displacement`, in words; or empty.
 
     `limit` is that of its magnitude [N, m].
     """

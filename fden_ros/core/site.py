@@ -36,21 +36,21 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
 
 #: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
-#: palpation of 1 Hz dips out of the tissue for at most half of its period.
+#: palpation of 1 Hz leaves the tissue for at most half of its period.
 _DIP_TIME = 0.5
-#: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
+#: A contact contradicts the stated rig where one of its quantities is off by more than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
-#: The tissue has changed where the innovations of so many blocks in a row add up to more than so
-#: many standard deviations of their sum, and that of the newest is beyond so many of its own and
-#: this part of the stress [1]. Presses of tissue that does not change reach 15 deviations and 2 %,
-#: or 9 deviations and 11 %, where the filter is linear about a solution of less depth. A slide
-#: onto tissue that is 1.3 times as stiff reaches 17 and 9 % at 100 Hz, an inclusion more.
+#: The tissue has changed where the innovations of this many consecutive blocks sum to more than
+#: this many standard deviations of their sum, and the newest exceeds this many of its own and this
+#: part of the stress [1]. Presses of unchanged tissue reach 15 deviations and 2 %, or 9 deviations
+#: and 11 % where the filter is linearised at a solution of less depth. A slide onto tissue that is
+#: 1.3 times as stiff reaches 17 and 9 % at 100 Hz, an inclusion more.
 _GATE_BLOCKS, _GATE_SUM, _GATE_NEWEST, _GATE_PART = 4, 13.0, 16.0, 0.04
 
 
 class Learned(NamedTuple):
-    """What a block has told."""
+    """The results of a block."""
 
     compression: float  #: [1]
     stress: float  #: [Pa]
@@ -61,7 +61,7 @@ class Learned(NamedTuple):
 class Site(Standing):
     """One place on the tissue, from the first touch on.
 
-    `flags`: what stands against every estimate.
+    `flags` apply to every estimate.
 
     Attributes
     ----------
@@ -85,12 +85,12 @@ class Site(Standing):
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the newest data are unexplained."""
+        """Whether the newest data fail the innovation test."""
         return self._estimator is not None and self._estimator.is_doubtful
 
     @property
     def live_estimate(self) -> Estimate | None:
-        """The usable estimate, of which nothing is known while the newest data are unexplained."""
+        """The usable estimate, of which nothing is known while the innovation test fails."""
         estimate = self.usable_estimate
         if estimate is None or not self.is_doubtful:
             return estimate
@@ -122,16 +122,16 @@ class Site(Standing):
         return None if is_late else False
 
     def put_away(self) -> None:
-        """Keep of the last contact what the next one here goes on from: the probe is elsewhere."""
+        """Keep what the next contact here needs of the last one: the probe is elsewhere."""
         if self._estimator is not None:
             self._estimator.put_away()
 
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 
-        So a probe that palpates as it slides dips out of a contact whose beginning was not seen,
-        or in which it went as far to the side as to another site: the tissue that it meets next
-        is of what it has just dragged along.
+        A probe that palpates while it slides lifts off briefly. If the beginning of its contact was not
+        seen, or the contact went sideways as far as to another site, the next touch is on tissue that it
+        has just dragged along.
         """
         has_slid = self.whereabouts.is_apart(self.whereabouts.left)
         has_past = self.flags & (Flag.TOUCH_NOT_OBSERVED | Flag.TISSUE_CHANGED)
@@ -139,9 +139,9 @@ class Site(Standing):
         return is_doubted and dips(stamp_ns - self._last_ns)
 
     def check_history(self, onset: Onset) -> None:
-        """Say nothing of tissue that may have been pressed unseen before a touch."""
+        """Invalidate the estimates: the tissue may have been pressed unseen before a touch."""
         first = onset.samples[0]
-        # A site that was pressed before needs no surface, only to be left alone in between.
+        # A site that was pressed before needs no surface, only a rest in between.
         is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
         if not is_followed and not begins_at_origin(first, self._config):
             self.withdraw()
@@ -173,9 +173,9 @@ class Site(Standing):
             )
 
     def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
-        """Let the estimator of another site, of tissue at rest, know this tissue: it may be it.
+        """Pass this tissue to the estimator of another site, of tissue at rest: they may be one.
 
-        It gets a copy: a later touch here goes on from what was known here.
+        It gets a copy: a later touch here continues from the knowledge of this site.
         """
         own = copy.deepcopy(self._estimator) if self.is_observed else None
         if not (isinstance(own, PosteriorEstimator) and isinstance(new, PosteriorEstimator)):
@@ -208,9 +208,9 @@ class Site(Standing):
     # Samples and blocks
 
     def follow(self, pair: Pair, force: float, *, learns: bool) -> ContactSample:
-        """Take a sample of a contact and its force [N] into the memory.
+        """Add a sample of a contact and its force [N] to the memory.
 
-        `learns`: the estimator takes it too.
+        `learns`: the estimator uses it too.
         """
         assert self._lift_off is not None
         geometry = self._config.geometry
@@ -232,9 +232,9 @@ class Site(Standing):
         return ContactSample(pair.stamp_ns, step, force, compression, stress, is_free)
 
     def learn(self, means: Means, *, learns: bool, is_silent: bool) -> Learned:
-        """Take a block of a contact.
+        """Add a block of a contact.
 
-        `learns`: the estimator takes it too; `is_silent`: the estimate is not asked for.
+        `learns`: the estimator uses it too; `is_silent`: without an estimate.
 
         Raises
         ------
@@ -252,21 +252,21 @@ class Site(Standing):
                 innovation = self._estimator.update(block)
                 if innovation is not None:
                     _check_finite(innovation.innovation, innovation.variance)
-                    # The paper's filter judges by chi squared: its coarse nodes surprise at first.
+                    # The paper's filter judges by chi squared: its coarse nodes have large innovations at first.
                     if self._config.estimator.kind is EstimatorKind.GRID:
                         self._gate(innovation, was_explained=was_explained)
             else:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
-                # A contact that is told as it ends has silent blocks alone.
+                # A contact that is reported only at its end has silent blocks alone.
                 self.find(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
     def _gate(self, innovation: Innovation, *, was_explained: bool) -> None:
-        """Withdraw where a few blocks in a row are none of the tissue that was touched.
+        """Invalidate the site where consecutive blocks do not fit the tissue that was touched.
 
-        `was_explained`: the block before was. An estimator that is still looking has large
-        innovations, so the first of them has to follow one that was.
+        `was_explained`: the previous block was. An estimator that has not settled has large
+        innovations, so the first of them has to follow an explained block.
         """
         recent, off = self._recent, abs(innovation.innovation)
         recent.append((innovation.innovation / math.sqrt(innovation.variance), was_explained))
@@ -277,7 +277,7 @@ class Site(Standing):
             self.withdraw(Flag.TISSUE_CHANGED)
 
     def fail(self) -> None:
-        """Say nothing any more, after an exception."""
+        """Invalidate the site after an exception."""
         super().fail()
         self._estimator = None
 
@@ -285,26 +285,26 @@ class Site(Standing):
 
     @property
     def _ending(self) -> Estimator | None:
-        """The estimator that has something to bring to its best."""
+        """The estimator that has a final solution to find."""
         return self._estimator if self.usable_estimate is not None else None
 
     def begin_leaving(self) -> None:
-        """Begin to bring the estimate to its best at the end of a contact."""
+        """Begin the final solution at the end of a contact."""
         if self._ending is not None:
             self._ending.begin_finish()
 
     @property
     def is_working(self) -> bool:
-        """Whether that is not done yet."""
+        """Whether the final solution is not complete."""
         return self._ending is not None and self._ending.is_working
 
     def work(self, seconds: float) -> None:
-        """Go on with that by the work of a time in the air [s]."""
+        """Continue the final solution by the work of a time in the air [s]."""
         if self._ending is not None:
             self._ending.work(seconds)
 
     def leave(self) -> None:
-        """Bring the estimate to its best at the end of a contact, as was begun."""
+        """Complete the final solution of a contact."""
         estimator = self._ending
         if estimator is None:
             return
@@ -344,13 +344,13 @@ def _block(means: Means, memory: Array, start_ns: int, *, is_past: bool) -> Bloc
 
 
 def prepare(config: PipelineConfig) -> None:
-    """Import and compute what takes a moment: not only at the first touch."""
+    """Import and compute what takes a moment, before the first touch."""
     config.geometry.compression(0.1)
     _new_estimator(config, 1.0, 1.0, 0.0)
 
 
 def dips(duration_ns: int) -> bool:
-    """Whether a probe that was off the tissue for so long may just have dipped out of it."""
+    """Whether a probe that was off the tissue for this time may only have lifted off briefly."""
     return duration_ns < _DIP_TIME * NANOSECONDS
 
 
