@@ -102,9 +102,9 @@ class LiftOff:
     def is_shrinking(self, compression: float) -> bool:
         """Whether the probe has moved back from the deepest.
 
-        Under a round probe tissue comes off at the rim before the force vanishes. Hertz's relation, and
-        so the law, holds while the contact grows (T. C. T. Ting, Journal of Applied Mechanics 33, 845,
-        1966): with the retract G was 20 % off.
+        Under a round probe tissue comes off at the rim before the force vanishes. Hertz's
+        relation, and so the law, holds while the contact grows (T. C. T. Ting, Journal of Applied
+        Mechanics 33, 845, 1966): with the retract G was 20 % off.
         """
         return compression < (1.0 - _SHRINKING) * self._deepest
 

@@ -129,9 +129,9 @@ class Site(Standing):
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 
-        A probe that palpates while it slides lifts off briefly. If the beginning of its contact was not
-        seen, or the contact went sideways as far as to another site, the next touch is on tissue that it
-        has just dragged along.
+        A probe that palpates while it slides lifts off briefly. If the beginning of its contact
+        was not seen, or the contact went sideways as far as to another site, the next touch is on
+        tissue that it has just dragged along.
         """
         has_slid = self.whereabouts.is_apart(self.whereabouts.left)
         has_past = self.flags & (Flag.TOUCH_NOT_OBSERVED | Flag.TISSUE_CHANGED)
@@ -252,7 +252,7 @@ class Site(Standing):
                 innovation = self._estimator.update(block)
                 if innovation is not None:
                     _check_finite(innovation.innovation, innovation.variance)
-                    # The paper's filter judges by chi squared: its coarse nodes have large innovations at first.
+                    # The paper's filter judges by chi squared: its innovations are large at first.
                     if self._config.estimator.kind is EstimatorKind.GRID:
                         self._gate(innovation, was_explained=was_explained)
             else:
