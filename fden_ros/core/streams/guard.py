@@ -96,7 +96,7 @@ class Resolution:
 class UsualStep:
     """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
 
-    The larger of the mean of all steps, which is exponential over this number of `samples`, and
+    The larger of the mean of all steps, exponential over a number of `samples`, and of the
     shorter one of the last two.
     """
 
@@ -125,8 +125,8 @@ class StreamGuard:
     """Accept a stream's samples in order of their stamps; reject and count the others.
 
     A stamp more than 0.5 s before or 10 usual steps after its predecessor is held back: the next
-    sample distinguishes a jump of the clock from a stray stamp. Where `is_vector`, values are judged
-    by the distance of the samples' positions, and by their turns.
+    sample distinguishes a jump of the clock from a stray stamp. Where `is_vector`, values are
+    judged by the distance of the samples' positions, and by their turns.
     """
 
     def __init__(
