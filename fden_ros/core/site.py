@@ -47,6 +47,8 @@ _CONTRADICTION = 2.5
 #: and 11 % where the filter is linearised at a solution of less depth. A slide onto tissue that is
 #: 1.3 times as stiff reaches 17 and 9 % at 100 Hz, an inclusion more.
 _GATE_BLOCKS, _GATE_SUM, _GATE_NEWEST, _GATE_PART = 4, 13.0, 16.0, 0.04
+#: Or one block is beyond so many and by this part of the largest stress [1]: the probe slips.
+_GATE_ONE, _GATE_STEP = 8.0, 0.15
 
 
 class Learned(NamedTuple):
@@ -82,6 +84,7 @@ class Site(Standing):
         self._estimator: Estimator | None = None
         self._lift_off: LiftOff | None = None
         self._recent: deque[tuple[float, bool]] = deque(maxlen=_GATE_BLOCKS)
+        self._largest = 0.0  #: stress of the contact [Pa]
 
     @property
     def is_doubtful(self) -> bool:
@@ -164,6 +167,7 @@ class Site(Standing):
             self._estimator = new
         self._rest_until(first.stamp_ns)
         self._recent.clear()
+        self._largest = 0.0
         self._memory.begin_block()
         if self._estimator is not None:
             times, way, forces = onset.way
@@ -272,8 +276,11 @@ class Site(Standing):
         recent.append((innovation.innovation / math.sqrt(innovation.variance), was_explained))
         together = abs(sum(deviations for deviations, _ in recent)) / math.sqrt(_GATE_BLOCKS)
         stress = abs(innovation.predicted_stress + innovation.innovation)
-        is_beyond = abs(recent[-1][0]) > _GATE_NEWEST and off > _GATE_PART * stress
-        if recent[0][1] and together > _GATE_SUM and is_beyond:
+        self._largest = max(self._largest, stress)
+        newest = abs(recent[-1][0])
+        is_beyond = newest > _GATE_NEWEST and off > _GATE_PART * stress
+        has_slipped = newest > _GATE_ONE and off > _GATE_STEP * self._largest and was_explained
+        if has_slipped or (recent[0][1] and together > _GATE_SUM and is_beyond):
             self.withdraw(Flag.TISSUE_CHANGED)
 
     def fail(self) -> None:
