@@ -275,7 +275,8 @@ def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, ca
     (archive / "press.txt").write_text("time_s force_N depth_mm\n" + rows.replace(",", " "))
     (tmp_path / "empty").mkdir()
     output = archive / "results.csv"
-    places = [archive, tmp_path / "empty", tmp_path / "nowhere"]
+    # A text in a folder may be notes: a table is named.
+    places = [archive, archive / "press.txt", tmp_path / "empty", tmp_path / "nowhere"]
     for _ in range(2):
         assert fden("batch", *places, "-o", output, "--workers", "1") == 0
         rows = rows_of(output)
