@@ -45,7 +45,7 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
 _RATE = 200.0
 #: How far the probe leaves the surface between two sites [m].
 _LIFT = 0.004
-#: The first touch waits for the identifier, which must see it, for at most this time [s].
+#: Longest wait of the first touch for the identifier, which must see it [s].
 _PATIENCE = 20.0
 _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 #: After 0.1 s without a force the probe is stopped [s].
@@ -53,7 +53,7 @@ _INPUT_TIMEOUT = 0.1
 
 
 class ForceControllerNode(Node):
-    """Force control that acts on the estimate while it can be relied on."""
+    """Force control that uses the estimate while it is reliable."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("force_controller", **options)
@@ -125,7 +125,7 @@ class ForceControllerNode(Node):
             self._gains_topic.publish(String(data=gains))
 
     def _tare(self, force: float, now: float) -> None:
-        """Take the first moments, in the air, for the force's bias."""
+        """Use the first moments, in the air, for the force's bias."""
         self._started = self._started or now
         refusal = self._feed.refusal()
         unheard = refusal is not None and refusal.cause in (Cause.NEVER_HEARD, Cause.STALE)
