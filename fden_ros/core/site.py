@@ -47,7 +47,7 @@ _CONTRADICTION = 2.5
 #: and 11 % where the filter is linearised at a solution of less depth. A slide onto tissue that is
 #: 1.3 times as stiff reaches 17 and 9 % at 100 Hz, an inclusion more.
 _GATE_BLOCKS, _GATE_SUM, _GATE_NEWEST, _GATE_PART = 4, 13.0, 16.0, 0.04
-#: Or one block is beyond so many and by this part of the largest stress [1]: the probe slips.
+#: Or one block exceeds this many and this part of the largest stress [1]: the probe slips.
 _GATE_ONE, _GATE_STEP = 8.0, 0.15
 
 

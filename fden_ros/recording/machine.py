@@ -26,7 +26,7 @@ _PLAUSIBLE_FORCE = 1e6
 #: this part of the largest, and where at this part of the path it has this part, and this many
 #: deviations: a tenth of the path is 3 % of a sphere's force, .5 % where the tissue stiffens.
 _AT_REST, _AT_ZERO, _WAY, _RISEN, _RISEN_SD = 0.01, 0.01, 0.1, 0.005, 4.0
-#: Fewer rows show nothing; of so many the median is taken.
+#: Fewer rows show nothing; medians are over this many.
 _LEAST_ROWS, _MEDIAN = 12, 5
 _SIZE = re.compile(
     r"(?P<name>[^\W\d_][^\d:=;,\t]*?)[\s\"]*(?:[(\[]\s*(?P<before>[^)\]\d]+\d?)\s*[)\]])?"
@@ -43,10 +43,10 @@ _WORDS = {
 def machine_values(
     table: TableReader, parameters: Parameters, from_touch: bool | None
 ) -> tuple[dict[str, Value], tuple[str, ...], tuple[str, ...]]:
-    """Return values of parameters that a table states, a line on each, and what is to be stated.
+    """Return values of parameters that a table states, a line on each, and open questions.
 
-    What is configured otherwise is left alone. `from_touch` states whether the table begins at the
-    touch, tared; None: as its preamble says.
+    Parameters that are already configured stay. `from_touch` states whether the table begins at
+    the touch, tared; None: as its preamble states.
     """
     sizes = sizes_of(table.layout.preamble)
     values = _unstated(sizes, parameters)
