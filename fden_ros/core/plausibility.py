@@ -182,24 +182,24 @@ class Plausibility:
         if strain <= most:
             return ""
         depth, deepest = geometry.compression(strain), geometry.compression(most)
-        asked = _asked(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
-        if not asked:
+        suggested = _suggested(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
+        if not suggested:
             factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
             then = geometry.strain(depth * factor)
-            asked = f"another unit (factor {factor:.3g}: {written(then, 2)})"
+            suggested = f"another unit (factor {factor:.3g}: {written(then, 2)})"
         return (
             f"a contact reached a strain of {written(strain, 3)}, at most {written(most, 3)} is "
-            f"plausible: is the displacement in {asked}, not m? Or is the geometry wrong?"
+            f"plausible: is the displacement in {suggested}, not m? Or is the geometry wrong?"
         )
 
     def _of_force(self, force: float) -> str:
         most = self._config.most_force
         if force <= most or self._geometry.unit != "N":
             return ""
-        asked = _asked(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
+        suggested = _suggested(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
         return (
             f"a contact reached {written(force, 3)} N, more than plausibility.max_force "
-            f"({most:g} N): is the force in {asked or 'N'}? If it is that large, set "
+            f"({most:g} N): is the force in {suggested or 'N'}? If it is that large, set "
             f"plausibility.max_force to {10.0 ** math.ceil(math.log10(force)):g} in the parameter "
             "file"
         )
@@ -213,11 +213,11 @@ class Plausibility:
         least = self._config.least_strain_rate
         if self._step < _SLOW_STEP or strain >= least * elapsed:
             return ""
-        asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
+        suggested = _suggested(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
             f"{least:g} 1/s, and samples come every {self._step:.2g} s: is the time in "
-            f"{asked or 's'}?"
+            f"{suggested or 's'}?"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
@@ -234,12 +234,12 @@ class Plausibility:
             return ""
         ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
         units, likely = {**_FORCES, "kN": 1e3}, (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
-        asked = _asked(units, lambda f: ratio * f, *likely, is_shown=False)
+        suggested = _suggested(units, lambda f: ratio * f, *likely, is_shown=False)
         if ratio > 1.0 and strain < _LEAST_STRAIN:
-            asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
+            suggested = f"{suggested or 'N'}, or the displacement in m already (factor 1e3)"
         return (
             f"the stress at a strain of {strain:.2g} is some {written(ratio, 2)} times that of "
-            f"prior.linear_stiffness: is the force in {asked or 'N'}? If not, state the prior"
+            f"prior.linear_stiffness: is the force in {suggested or 'N'}? If not, state the prior"
         )
 
 
@@ -282,7 +282,7 @@ def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
     return low, high
 
 
-def _asked(
+def _suggested(
     factors: dict[str, float],
     value: Callable[[float], float],
     low: float,

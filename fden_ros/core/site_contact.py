@@ -183,8 +183,10 @@ class Contact:
             return outputs
         means = sums.close(pair.stamp_ns)
         block = self.site.learn(means, learns=learns, is_silent=is_silent)
-        told = self._account.close_block(pair.stamp_ns, block, learns=learns, is_silent=is_silent)
-        return itertools.chain(outputs, told)
+        results = self._account.close_block(
+            pair.stamp_ns, block, learns=learns, is_silent=is_silent
+        )
+        return itertools.chain(outputs, results)
 
     def _pass(self, pair: Pair) -> Iterator[Output]:
         """Skip a sample of a contact in which the estimation failed."""

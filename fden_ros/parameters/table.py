@@ -108,7 +108,7 @@ class FrameNames:
 
 @dataclass(frozen=True)
 class NodeSettings:
-    """What the node does beside the identification."""
+    """Settings of the node other than the identification."""
 
     autostart: bool = parameter(
         "autostart",
