@@ -48,7 +48,7 @@ class PipelineConfig:
     origin_displacement: float = parameter(
         "origin.displacement",
         0.0,
-        "Displacement at zero strain where it is given.",
+        "Displacement at zero strain, if origin.source is given.",
         "m",
         -10.0,
         10.0,
@@ -57,7 +57,7 @@ class PipelineConfig:
         "contact.mode",
         "touch",
         "touch: contacts begin in the air, with G and Gn; continuous: the probe stays on the "
-        "tissue and palpates, and dF/dd along its path is found.",
+        "tissue and palpates, and dF/dd along its path is estimated.",
         choices=("touch", "continuous"),
     )
     contact: ContactConfig = field(default_factory=ContactConfig)
@@ -83,8 +83,8 @@ class PipelineConfig:
     classification: str = parameter(
         "classification.mode",
         "library",
-        "Classify by the tissues of the library, or by how much stiffer each site is than earlier "
-        "ones around it.",
+        "Classify by the tissues of the library, or by the ratio of each site's stiffness to "
+        "that of earlier sites around it.",
         choices=("library", "relative"),
     )
     decision: DecisionConfig = field(default_factory=DecisionConfig)

@@ -29,7 +29,7 @@ class PlausibilityConfig:
     most_force: float = parameter(
         "plausibility.max_force",
         200.0,
-        "flat_punch, sphere: a contact of more force is implausible, and never converged.",
+        "flat_punch, sphere: a contact with more force is implausible, and never converges.",
         "N",
         TINY,
         1e9,

@@ -31,35 +31,52 @@ class ContactConfig:
     """When a contact begins and ends, and when it is at a new site."""
 
     force_threshold: float = parameter(
-        "force.threshold", 0.0, "Least force of a contact; 0: by its noise.", "N", 0.0, 1000.0
+        "force.threshold", 0.0, "Least force of a contact; 0: set by the noise.", "N", 0.0, 1000.0
     )
     force_noise: float = parameter(
         "force.noise", 0.0, "Noise per sample, as sd; 0: measured in the air.", "N", 0.0, 1000.0
     )
     noise_floor: float = parameter(
-        "force.noise_floor", 1e-5, "Least noise that is believed.", "N", TINY, 1000.0
+        "force.noise_floor", 1e-5, "Lower limit of the noise.", "N", TINY, 1000.0
     )
     measure_bias: bool = parameter(
-        "force.measure_bias", True, "Measure the bias in the air; false: it is 0 after any tare."
+        "force.measure_bias",
+        True,
+        "Measure the bias in the air; false: it is taken as 0, apart from any tare.",
     )
     #: The onset of a contact is searched for up to this time before its detection, or 24 times 3
     #: samples where those last longer [s].
     lookback: float = 5.0
     site_distance: float = parameter(
-        "site.distance", 0.0, "Aside to a new site; 0: radius/5, 0.5 to 2 mm.", "m", 0.0, 1.0
+        "site.distance",
+        0.0,
+        "Sideways distance to a new site; 0: radius/5, 0.5 to 2 mm.",
+        "m",
+        0.0,
+        1.0,
     )
     site_timeout: float = parameter(
-        "site.timeout", 2.0, "Without positions, a later touch may be elsewhere.", "s", 0.0, 1e5
+        "site.timeout",
+        2.0,
+        "Without positions, a touch after this time may be at another site.",
+        "s",
+        0.0,
+        1e5,
     )
     without_position: str = parameter(
         "site.without_position",
         "either",
-        "Whose a touch without a position is: the same place, another, or either: then the data "
-        "decide after site.timeout.",
+        "Site of a touch without a position: the same, another, or either; then the data decide "
+        "after site.timeout.",
         choices=("same", "other", "either"),
     )
     series_compliance: float = parameter(
-        "displacement.compliance", 0.0, "Of tool and robot; it is compensated.", "m/N", 0.0, 1.0
+        "displacement.compliance",
+        0.0,
+        "Compliance of tool and robot, which is compensated.",
+        "m/N",
+        0.0,
+        1.0,
     )
     #: Unit vector into the tissue, in the frame of the positions; zeros: not known.
     approach_axis: Position = (0.0, 0.0, 1.0)

@@ -325,7 +325,7 @@ class GeometryConfig:
         "geometry.thickness",
         0.0,
         "flat_punch, sphere: thickness of the tissue on its rigid base; torsional_rheometer: "
-        "height of the sample; 0: not stated, under a sphere then thick.",
+        "height of the sample; 0: not stated, which under a sphere means thick.",
         "m",
         1e-9,
         1.0,
@@ -348,14 +348,14 @@ class GeometryConfig:
     bonded: bool = parameter(
         "geometry.bonded",
         True,
-        "The base holds the tissue; false: the tissue slips on it. Counts with hayes, and under a "
-        "sphere with a thickness.",
+        "The tissue sticks to its base; false: it slips. Used with hayes, and under a sphere "
+        "with a thickness.",
     )
     poisson_ratio: float = parameter(
         "geometry.poisson_ratio",
         0.5,
-        "Poisson's ratio of a layer that its base holds: with hayes, or under a sphere with a "
-        "thickness.",
+        "Poisson's ratio of a layer that sticks to its base; used with hayes, or under a sphere "
+        "with a thickness.",
         "1",
         0.0,
         0.5,

@@ -34,7 +34,7 @@ class SynchronizeConfig:
     displacement_delay: float = parameter(
         "displacement.delay",
         0.0,
-        "How much later than the force the displacement is stamped for the same instant.",
+        "Time by which the displacement is stamped later than the force of the same instant.",
         "s",
         -10.0,
         10.0,
@@ -42,8 +42,8 @@ class SynchronizeConfig:
     max_gap: float = parameter(
         "synchronize.max_gap",
         0.25,
-        "Displacement samples further apart, and than 2 usual steps of the force, are not "
-        "interpolated between; a longer gap ends a contact.",
+        "Longest gap between displacement samples that is interpolated, or 2 usual steps of the "
+        "force if longer; a longer gap ends a contact.",
         "s",
         1e-4,
         10.0,
@@ -51,7 +51,8 @@ class SynchronizeConfig:
     max_wait: float = parameter(
         "synchronize.max_wait",
         5.0,
-        "How long a sample waits, in stamps, for the other stream; or 4 usual steps of its own.",
+        "Time, by the stamps, that a sample waits for the other stream; or 4 of its own usual "
+        "steps.",
         "s",
         0.01,
         60.0,

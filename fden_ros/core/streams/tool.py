@@ -86,8 +86,8 @@ class ToolWeight:
     mass: float = parameter(
         "tool.mass",
         0.0,
-        "Mass that the force sensor carries, where the tool turns. Its weight is subtracted from "
-        "the force, by the orientation of the displacement's pose or transform.",
+        "Mass that the force sensor carries, for a tool that turns. Its weight is subtracted "
+        "from the force, with the orientation of the displacement's pose or transform.",
         "kg",
         0.0,
         1000.0,
@@ -95,14 +95,14 @@ class ToolWeight:
     centre_of_mass: Vector = parameter(
         "tool.centre_of_mass",
         (0.0, 0.0, 0.0),
-        "Its centre in the sensor's frame; counts for a torque.",
+        "Its centre in the sensor's frame; used only for a torque.",
         "m",
         may_be_zero=True,
     )
     gravity: Vector = parameter(
         "tool.gravity",
         (0.0, 0.0, -9.80665),
-        "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
+        "Gravity in the frame of the poses, for a sensor that measures the load on the tool; "
         "otherwise reverse it.",
         "m/s^2",
     )
