@@ -102,7 +102,7 @@ def _sentence(finding: Finding) -> str:
     if finding.claim:
         return f"{finding.subject}: {value_text(finding)}; {finding.evidence}."
     known = f" {value_text(finding)};" if finding.value is not None else ""
-    why = f"CANNOT TELL;{known} {finding.evidence}"
+    why = f"NOT FOUND;{known} {finding.evidence}"
     return f"{finding.subject}: {why}. To find out: {finding.motion}."
 
 
