@@ -40,7 +40,7 @@ by a sine of 0.5 mm in tissue at 1 and 4 Hz. No recording shows the indenter: st
 --robot ur a table needs the headings of the robot's recorder.
 """
 
-#: What its exit codes say beside those of all commands.
+#: Exit codes in addition to those of all commands.
 EXIT_CODES = {0: "a file was proposed"}
 
 

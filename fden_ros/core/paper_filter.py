@@ -129,7 +129,7 @@ class _Bank(InformationFilter):
         self.count = 0
 
     def update(self, z: float, R: float, response: Array) -> None:
-        """Take one block, H = (response, 1): P^-1 <- P^-1 + H'H/R, P^-1 x <- P^-1 x + H'z/R."""
+        """Add one block, H = (response, 1): P^-1 <- P^-1 + H'H/R, P^-1 x <- P^-1 x + H'z/R."""
         weighed = response / R
         self._g += weighed * response
         self._gb += weighed

@@ -16,7 +16,7 @@ from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
 _TOLERANCE = 0.01
 #: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
-#: A signal that changes by the same amount in 4 samples in a row is a ramp without noise.
+#: A signal that changes by the same amount in 4 consecutive samples is a ramp without noise.
 _RAMP = 4
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
 _MIN_STEP_NS = 10_000
