@@ -3,7 +3,7 @@
 
 """The one table of outputs: topic, type, QoS, and the message made of an output.
 
-The node publishes by it, and writes a bag of results by it.
+The node and the bag of results use it.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def _with_rig(
 def _estimate(
     order: float, variance: float, config: EstimatorConfig, samples: int, is_tissue: bool
 ) -> Estimate:
-    """Return the prior with the alpha that was found; nothing is known of a phase of no tissue."""
+    """Return the prior with the alpha that was found, observable only if `is_tissue`."""
     prior, alpha = config.prior, ParameterSet.FRACTIONAL_ORDER
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
