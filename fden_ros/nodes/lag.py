@@ -40,6 +40,5 @@ class Lag:
             return most, []
         return most, [
             f"the machine is too slow: {late} of {count} estimates were late, up to {most:.2f} s "
-            "behind their samples; give the node a core or priority, or set estimate.period to "
-            "twice what it is"
+            "behind their samples; give the node a core or priority, or double estimate.period"
         ]

@@ -50,8 +50,8 @@ class FieldPath:
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.text) is None:
             raise InputError(
-                f"{self.text!r} is no path of a field: expected one such as wrench.force.z or "
-                "data[2]"
+                f"{self.text!r} is not the path of a field: expected one such as wrench.force.z "
+                "or data[2]"
             )
 
     def of(self, message: Any) -> Any:

@@ -36,7 +36,7 @@ def full_type_name(type_name: str) -> str:
     """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise InputError(f"{type_name!r} is no message type: expected package/msg/Name")
+        raise InputError(f"{type_name!r} is not a message type: expected package/msg/Name")
     return f"{match['package']}/msg/{match['name']}"
 
 

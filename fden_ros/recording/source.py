@@ -101,7 +101,7 @@ def _open_table(path: Path, parameters: Parameters, selection: Selection) -> Row
     ):
         if is_set:
             raise InputError(
-                f"{name} asks for {what}, which a table does not hold: unset it, or replay a bag"
+                f"{name} needs {what}, which a table does not hold: unset it, or replay a bag"
             )
     with TemporaryDirectory(prefix="fden_") as folder:
         with reached(path):

@@ -292,7 +292,7 @@ class TableReader:
         if back.size:
             yield (
                 f"the time of {self.path.name} goes back {back.size} times, first at row "
-                f"{back[0] + 2}: of several recordings choose one by --rows"
+                f"{back[0] + 2}: if it holds several recordings, choose one with --rows"
             )
         every = np.count_nonzero(~np.isnan(self.force))
         if _thin(self.force):

@@ -118,7 +118,7 @@ def _present(view: MonitorView) -> Table:
 
 def _status(view: MonitorView) -> Text:
     if view.state is None or view.age is None:
-        return Text("nothing heard yet", style="red")
+        return Text("nothing received yet", style="red")
     if view.refusal is not None and view.refusal.cause is Cause.LOST:
         return Text(f"lost: no estimate for {view.age:.1f} s", style="bold red")
     status = view.state.status
@@ -162,7 +162,7 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
 def _how_known(estimate: Estimate, index: int) -> str:
     """Return how well a parameter is known, in words."""
     if estimate.is_at_edge(index):
-        return "at an end of what the prior allows"
+        return "at a limit of the prior"
     if estimate.knows(index):
         return "converged"
     return "converging" if estimate.determines(index) else "not determined"
