@@ -85,6 +85,7 @@ class Site(Standing):
         self._lift_off: LiftOff | None = None
         self._recent: deque[tuple[float, bool]] = deque(maxlen=_GATE_BLOCKS)
         self._largest = 0.0  #: stress of the contact [Pa]
+        self._before = -math.inf  #: compression of the previous block [1]
 
     @property
     def is_doubtful(self) -> bool:
@@ -167,7 +168,7 @@ class Site(Standing):
             self._estimator = new
         self._rest_until(first.stamp_ns)
         self._recent.clear()
-        self._largest = 0.0
+        self._largest, self._before = 0.0, -math.inf
         self._memory.begin_block()
         if self._estimator is not None:
             times, way, forces = onset.way
@@ -258,7 +259,7 @@ class Site(Standing):
                     _check_finite(innovation.innovation, innovation.variance)
                     # The paper's filter judges by chi squared: its innovations are large at first.
                     if self._config.estimator.kind is EstimatorKind.GRID:
-                        self._gate(innovation, was_explained=was_explained)
+                        self._gate(innovation, means.compression, was_explained=was_explained)
             else:
                 self._estimator.skip()
             if not is_silent or self.estimate is None:
@@ -266,7 +267,7 @@ class Site(Standing):
                 self.find(_checked(self._estimator.estimate()))
         return Learned(means.compression, means.stress, fractional_stress, innovation)
 
-    def _gate(self, innovation: Innovation, *, was_explained: bool) -> None:
+    def _gate(self, innovation: Innovation, compression: float, *, was_explained: bool) -> None:
         """Invalidate the site where consecutive blocks do not fit the tissue that was touched.
 
         `was_explained`: the previous block was. An estimator that has not settled has large
@@ -279,7 +280,10 @@ class Site(Standing):
         self._largest = max(self._largest, stress)
         newest = abs(recent[-1][0])
         is_beyond = newest > _GATE_NEWEST and off > _GATE_PART * stress
-        has_slipped = newest > _GATE_ONE and off > _GATE_STEP * self._largest and was_explained
+        # A delayed force lags most where the probe retracts.
+        advances, self._before = compression >= self._before, compression
+        is_step = newest > _GATE_ONE and off > _GATE_STEP * self._largest
+        has_slipped = is_step and advances and was_explained
         if has_slipped or (recent[0][1] and together > _GATE_SUM and is_beyond):
             self.withdraw(Flag.TISSUE_CHANGED)
 
