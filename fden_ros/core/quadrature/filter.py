@@ -204,8 +204,7 @@ class Filter:
         self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
         self._clocks = self._clocks.added(row.clocks)
-        seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
-        off, variance = self._off(root, seen, white[k:])
+        seen, off, variance = self._off(root, white)
         self._a = self._a + white[k:] ** 2
         self._b = self._b + seen * white[k:]
         self._rest = self._rest + 0.5 * seen**2 + math.log(root)
@@ -245,11 +244,10 @@ class Filter:
 
     def _predicted(self, rows: Sequence[_Row]) -> list[tuple[float, float]]:
         """Return mean and variance of the stress of cells of which there are no data."""
-        found, k = [], self._heads + self.grid.law.size
+        found = []
         for row in rows:
             _, root, white = self._whitened(row, 0.0)
-            seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
-            off, variance = self._off(root, seen, white[k:])
+            _, off, variance = self._off(root, white)
             found.append((-off, variance))
         return found
 
@@ -265,13 +263,14 @@ class Filter:
         white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
         return own, root, white
 
-    def _off(self, root: float, seen: Array, rows: Array) -> tuple[float, float]:
-        """Return by how much a cell is off its prediction, and the variance of that."""
-        by_g = rows * np.exp(self.stiffness.log_g)
+    def _off(self, root: float, white: Array) -> tuple[Array, float, float]:
+        """Return y of a whitened cell at each node, its mean deviation, and that's variance."""
+        seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+        by_g = white[self._heads + self.grid.law.size :] * np.exp(self.stiffness.log_g)
         each = root * (seen - by_g)
         mean = float(self.weights @ each)
         spread = root**2 * (1.0 + by_g**2 * self.stiffness.variance) + (each - mean) ** 2
-        return mean, float(self.weights @ spread)
+        return seen, mean, float(self.weights @ spread)
 
     def _row(self, tail: Press) -> _Row | None:
         """Take the points of a block; return the row of its cell, None where it has none."""
