@@ -185,8 +185,7 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     parabola, cubic = (np.linalg.pinv(normal[:n, :n]) @ weighted[:n] for n in (3, 4))
     scaled = (forces - design @ (cubic @ forces)) / np.sqrt(variances)
     total, freedom = float(scaled @ scaled), len(forces) - 4
-    lagged = float(scaled[1:] @ scaled[:-1]) / max(total, sys.float_info.min)
-    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    correlated = _correlation(scaled)
     variance = max(total / freedom * (1.0 + correlated) / (1.0 - correlated), noise**2)
     student = float(stdtrit(freedom, 0.975)) / 1.959964  # of the normal distribution
 
@@ -203,6 +202,12 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     return at(side), at(0.0)
 
 
+def _correlation(residuals: Array) -> float:
+    """Return the correlation of neighbouring residuals, at least 0 [1]."""
+    total = max(float(residuals @ residuals), sys.float_info.min)
+    return min(max(float(residuals[1:] @ residuals[:-1]) / total, 0.0), _MOST_CORRELATED)
+
+
 def _line(columns: Array) -> tuple[float, float]:
     """Return the slope of a line through pieces and its standard error [N/m]."""
     weights, way, force = columns[0], columns[3], columns[6]
@@ -211,8 +216,7 @@ def _line(columns: Array) -> tuple[float, float]:
     slope = float(weights @ (way * force)) / spread
     left = force - slope * way
     variance = float(weights @ left**2) / (way.size - 2)
-    lagged = float(left[1:] @ left[:-1]) / max(float(left @ left), sys.float_info.min)
-    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    correlated = _correlation(left)
     return slope, math.sqrt(variance / spread * (1.0 + correlated) / (1.0 - correlated))
 
 
