@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Benchmarks: measured figures held against stated goals, behind ``fden benchmark NAME``.
+"""Benchmarks: measured figures compared with stated goals, behind ``fden benchmark NAME``.
 
-They stand beside the tests and are installed nowhere. A benchmark is a module of this package with
+They are next to the tests and are not installed. A benchmark is a module of this package with
 a :class:`benchmark.harness.Benchmark` of the name ``BENCHMARK``, and a line in :data:`BENCHMARKS`.
 All have the same parts: *cases*, simulated or recorded data with their truth; a *trial*, the
 pipeline on one of them, in a pool of processes (:func:`benchmark.harness.measured`); *scores*
-(:mod:`benchmark.score`); *tables*, which are the JSON object too; and *goals*.
+(:mod:`benchmark.score`); *tables*, also printed as the JSON object; and *goals*.
 """
 
 from __future__ import annotations
 
-#: Name of every benchmark, which is that of its module, and what it measures in a line.
+#: Name of every benchmark, which is that of its module, and its measurement in a line.
 BENCHMARKS: dict[str, str] = {
     "exact": "the law's own tissue: false alarms, undetected errors, honesty, the bound",
     "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",

@@ -11,10 +11,10 @@ noise :math:`\sigma` has a smaller mean squared error than
 
 (Van Trees, Detection, Estimation, and Modulation Theory I, 1968, sec. 2.4; the information at the
 true parameters, for each contact its own). :math:`\theta` is (ln G, ln Gn, alpha, origin, bias):
-what an estimator does not know counts as unknown here too.
+unknowns of an estimator are unknown here too.
 
 The derivative by the origin is singular at the touch, as :math:`(t - t_0)^{-\alpha}`, and a single
-sample close to it would count for more than it can tell. So that derivative is a difference over
+sample close to it would weigh more than its information. So that derivative is a difference over
 the origin's own standard deviation to either side, found by iteration.
 """
 
@@ -34,7 +34,7 @@ from simulation.contact import contacts_of_moves
 #: Of (ln G, ln Gn, alpha, origin, bias), the order everywhere.
 _ORIGIN = 3
 _STEP = 1e-4
-#: Where the iteration for the origin's step starts, and how long it goes on.
+#: Start of the iteration for the origin's step, and its length.
 _FIRST_ORIGIN_STEP, _ITERATIONS = 5e-4, 2
 _TIMES = 800
 
@@ -79,7 +79,7 @@ def contact_bounds(
     noise_pa : float
         Standard deviation of a sample [Pa].
     prior : ndarray, shape (5,)
-        Deviations of (ln G, ln Gn, alpha, origin [1], bias [Pa]); 0: known, inf: not at all.
+        Deviations of (ln G, ln Gn, alpha, origin [1], bias [Pa]); 0: known, inf: unknown.
     """
     inside = np.zeros(stamps.shape, dtype=bool)
     for contact in contacts_of_moves(moves, model).contacts:

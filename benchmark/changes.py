@@ -51,7 +51,7 @@ _NOISE_PA, _NOISE_SHARE = 3.0, 5e-5
 
 
 class Change(NamedTuple):
-    """What happens under the probe: G is `ratio` times what it was."""
+    """An event under the probe: G becomes `ratio` times its value."""
 
     kind: str
     ratio: float = 1.0
@@ -70,7 +70,7 @@ CHANGES = (
     NOTHING,
 )
 _BY_NAME = {change.name: change for change in CHANGES}
-#: Those that are to be reported.
+#: Changes that must be reported.
 _WITH_GOAL = ("slide", "inclusion")
 
 _FLAT = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
@@ -160,17 +160,17 @@ def run_trial(which: tuple[str, str], number: int, parameters: Mapping[str, Any]
     """Simulate press `number`, identify it, and return when the change was reported [s]."""
     row, change = CASES[which[0]], _BY_NAME[which[1]]
     pressed = press(row.geometry, row.rate_hz, change, number)
-    told: list[bool] = []
+    reported: list[bool] = []
 
     def listen(output: Output) -> None:
         if isinstance(output, TissueState) and output.flags & Flag.TISSUE_CHANGED:
-            told.append(True)
+            reported.append(True)
 
     own = {**row.parameters, **row.geometry.parameters, **parameters}
     pipeline = Pipeline(pipeline_config(check(own)), listen)
     for time in fed(pipeline, pressed.times, pressed.forces, pressed.displacements):
-        if told:
-            # Told without a change is too soon.
+        if reported:
+            # Reported without a change is too soon.
             return time - pressed.changed_at
     return math.inf
 
@@ -210,7 +210,7 @@ def _knots(geometry: Geometry, strain_rate: float) -> tuple[list[LinearMove], fl
     deepest = float(geometry.depth_of_strain(np.array([_DEEPEST]))[0]) / geometry.length_m
     knots = _KNOTS if geometry.kind == "sphere" else 2
     depths = np.concatenate([[-_ABOVE], np.linspace(0.0, deepest, knots)])
-    # In the mean over the press as fast as a strain of so much a second.
+    # On average over the press as fast as this strain rate.
     speed = strain_rate * deepest / _DEEPEST
     down = _PAUSE + (depths + _ABOVE) / speed
     hold = float(down[-1])
@@ -222,7 +222,7 @@ def _knots(geometry: Geometry, strain_rate: float) -> tuple[list[LinearMove], fl
 
 
 def _beyond(knots: Sequence[LinearMove], times: Array, model: FdenModel) -> Array:
-    """Return the stress [Pa] of what is loaded only beyond where the inclusion lies, (n,)."""
+    """Return the stress [Pa] of the part that loads only below the inclusion, (n,)."""
     ends = {knots[0].start, *(knot.stop for knot in knots)}
     ends |= {time for knot in knots for time in knot.crossings(_MET)}
     instants = np.array(sorted(ends))

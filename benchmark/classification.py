@@ -48,7 +48,7 @@ _PARAMETERS = {
     "prior.nonlinear_stiffness_log_sd": 0.45,
     "prior.alpha": 0.17,
     "prior.alpha_sd": 0.06,
-    # Poor contacts are to be classified too, by what they are worth.
+    # Poor contacts are also classified, by their information.
     "converged.log_gn_sd": 0.15,
 }
 #: Median of G [Pa s^alpha], of Gn, and alpha with its spread, by name; liver is the paper's.
@@ -60,7 +60,7 @@ _CLASSES = {
 }
 #: Spread of ln G and ln Gn over specimens, that of Table II, and their correlation (invented).
 _LOG_SPREAD, _CORRELATION = (0.28, 0.186), -0.3
-#: How often a tissue is none of them, and how far it is about their mean: ln G, ln Gn, alpha.
+#: Share of tissues that are none of them, and their spread about the mean: ln G, ln Gn, alpha.
 _UNKNOWN_SHARE, _UNKNOWN_SD = 0.1, (1.4, 0.6, 0.12)
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
 _RATE_HZ = 200.0
@@ -139,7 +139,7 @@ def values_of(count: int) -> list[tuple[Array, int, int]]:
     for number in range(count):
         tissue = library.tissues[number % known]
         value = generator.multivariate_normal(tissue.mean, tissue.covariance)
-        # Every class is met with every press and every noise.
+        # Every class occurs with every press and every noise.
         drawn.append((value, number % known, number // known))
     return drawn
 
@@ -160,7 +160,7 @@ def run(args: argparse.Namespace) -> Report:
 
 
 def figures_of(pressed: Sequence[Pressed]) -> dict[str, Any]:
-    """Return what the pipeline said of contacts, beside what they are."""
+    """Return the pipeline's results for contacts, with their true class."""
     tissues = population().tissues
     used = [one for one in pressed if one.probabilities is not None]
     every = np.array([one.probabilities for one in used])

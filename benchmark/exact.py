@@ -64,17 +64,17 @@ NOISE_PA = (3.0, 300.0)
 RATE_HZ = (30.0, 1000.0)
 HOLD_S = (0.1, 600.0)
 STRAIN_RATE = (0.02, 1.0)  # [1/s], in and out
-#: Gn x at the deepest, where the stress is up to e^5 times that at the boundary strain: farther
-#: nobody presses, and not beyond LARGEST_STRAIN.
+#: Gn x at the deepest, where the stress is up to e^5 times that at the boundary strain: no press
+#: is deeper in practice, and none exceeds LARGEST_STRAIN.
 EXPONENT, LARGEST_STRAIN = (0.7, 6.0), 0.5
-#: The largest stress of a press is so many times its noise, and at most so large [Pa]: 60 N.
+#: Largest stress of a press, in multiples of its noise, and in absolute terms [Pa]: 60 N.
 SIGNAL_TO_NOISE, LARGEST_STRESS = 20.0, 2e5
-#: A ramp lasts so many samples.
+#: Samples in a ramp.
 RAMP_SAMPLES = 5
 #: Largest number of samples of a contact, unless the slowest rate takes more.
 LARGEST_SAMPLES, _QUICK_SAMPLES = 12_000, 1500
-#: Half of the priors are the default one, the others are this wide [1] and up to so many of their
-#: deviations off.
+#: Half of the priors are the default one, the others are this wide [1] and off by up to this many
+#: of their deviations.
 PRIOR_LOG_G, PRIOR_LOG_GN, PRIOR_ORDER = (0.1, 2.0), (0.1, 0.9), (0.01, 0.14)
 PRIOR_OFF = 2.0
 #: The largest median of Gn that may be stated [1].
@@ -87,20 +87,20 @@ RIGID, ARM = "rig known", "arm's defaults"
 MOTIONS = ("ramp", "staircase", "ramp_hold", "palpation")
 _GEOMETRY = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
 _PRESSES = 3
-#: The last of the approach is at the rate of the press, for so long [s].
+#: The end of the approach is at the rate of the press, for this time [s].
 _SLOW_TIME = 0.3
 #: In the air before a touch and after the last [s], about.
 _AIR_S = 3.5
 _DRAWS = 23
 #: The bound is that of contacts held for less [s]: its samples are spread evenly.
 _BOUND_HOLD_S = 10.0
-#: A tissue that no motion of so many makes pressable is drawn anew.
+#: A tissue that cannot be pressed by this number of drawn motions is drawn anew.
 _TRIES = 50
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What is pressed, how, and what the identifier is told; `number` is the seed.
+    """A press, its tissue, and the identifier's settings; `number` is the seed.
 
     `rig` is RIGID, with deviations of 0, or ARM, with the defaults; `prior` holds parameters of
     the identifier, none for the default prior.
@@ -134,13 +134,13 @@ class Contact:
 
     @property
     def has_bound(self) -> bool:
-        """Whether all but the tissue is known, and its bound can be told."""
+        """Whether all but the tissue is known, so that the bound exists."""
         is_known = self.rig == RIGID and not self.displacement_noise_m
         return is_known and not self.is_hidden and self.held_s < _BOUND_HOLD_S
 
     @property
     def is_pressable(self) -> bool:
-        """Whether somebody might press so."""
+        """Whether the press is realistic."""
         ramp = self.press.max_strain / self.press.strain_rate
         is_seen = SIGNAL_TO_NOISE * self.noise_pa <= self.peak_pa <= LARGEST_STRESS
         return is_seen and ramp * self.rate_hz >= RAMP_SAMPLES
@@ -178,7 +178,7 @@ def _log_uniform(generator: np.random.Generator, limits: tuple[float, float]) ->
 
 
 def _press(generator: np.random.Generator, motion: str, model: FdenModel) -> tuple[Press, float]:
-    """Return a motion and how long it takes with the air around it [s]."""
+    """Return a motion and its duration with the air around it [s]."""
     rate, back = (_log_uniform(generator, STRAIN_RATE) for _ in range(2))
     strain = min(_log_uniform(generator, EXPONENT) / model.nonlinear_stiffness, LARGEST_STRAIN)
     hold = _log_uniform(generator, HOLD_S)
@@ -222,7 +222,7 @@ def scenario_of(contact: Contact) -> Scenario:
         seed=contact.number,
         geometry=_GEOMETRY,
         approach=Approach(
-            # Where the touch lies between two samples is chance.
+            # The touch lies anywhere between two samples.
             distance_m=float(generator.uniform(0.005, 0.006)),
             speed_m_per_s=0.01,
             slow_distance_m=min(0.004, _SLOW_TIME * press.strain_rate * _GEOMETRY.length_m),
@@ -230,7 +230,7 @@ def scenario_of(contact: Contact) -> Scenario:
         ),
         sites=(Site(tissue, (press,)),),
         force=ForceSensor(rate_hz=contact.rate_hz, noise_stress_pa=contact.noise_pa),
-        # With the place: a palpation's presses are of one site, however long its way out takes.
+        # With the place: a palpation's presses are of one site, however long its retract takes.
         displacement=DisplacementSensor(
             rate_hz=contact.rate_hz, noise_m=contact.displacement_noise_m, message="point"
         ),
@@ -238,7 +238,7 @@ def scenario_of(contact: Contact) -> Scenario:
 
 
 def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
-    """Return the identifier's parameters: geometry, rig and prior; the noise is not told."""
+    """Return the identifier's parameters: geometry, rig and prior, without the noise."""
     own = dict(recording.truth["identifier_parameters"])
     for name in (*EXACT, "alpha.learn", "prior.alpha", "prior.alpha_sd"):
         own.pop(name, None)
@@ -246,7 +246,7 @@ def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
 
 
 class Trial(NamedTuple):
-    """One contact, what was said of it, and the least deviations of ln G, ln Gn, alpha (3,)."""
+    """One contact, its estimate, and the least deviations of ln G, ln Gn, alpha (3,)."""
 
     contact: Contact
     outcome: Outcome
@@ -263,7 +263,7 @@ class Trial(NamedTuple):
 
 
 def run_trial(number: int, samples: int) -> Trial:
-    """Simulate contact `number`, identify it, and judge what is said."""
+    """Simulate contact `number`, identify it, and judge the result."""
     contact = drawn(number, samples)
     recording = simulate(scenario_of(contact))
     parameters = parameters_of(contact, recording)
@@ -301,7 +301,7 @@ def run(args: argparse.Namespace) -> Report:
 
 
 def report_of(found: Sequence[Trial]) -> Report:
-    """Return goals and tables of what was found."""
+    """Return goals and tables of the trials."""
     contacts = [trial.contact for trial in found]
     groups: dict[str, list[bool]] = {
         "all": [True for _ in contacts],
@@ -358,15 +358,15 @@ def _alarm(contact: Contact, outcome: Outcome) -> dict[str, Any] | None:
 
 
 def goals_of(found: Sequence[Trial], rows: Mapping[str, Mapping[str, Any]]) -> list[Goal]:
-    """Hold the contacts against the goals."""
+    """Compare the contacts with the goals."""
     every = rows["all"]
     silent = share(any(c.is_silent for c in trial.outcome.contacts) for trial in found)
-    told = share(
+    alarms = share(
         any(c.number >= 0 and c.flags & ALARMS for c in trial.outcome.contacts) for trial in found
     )
     goals = [
         few("undetected gross errors: converged, unflagged and off", silent, 1e-3),
-        few("false alarms: told as mismatch or change", told, 1.0 / 300.0),
+        few("false alarms: told as mismatch or change", alarms, 1.0 / 300.0),
         few("false alarms: told at any moment", every["told live"], 1.0 / 300.0),
         at_most("live: unflagged CONVERGED states that are off", every["live"].value, 1e-3),
     ]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What all benchmarks share: arguments, trials in a pool of processes, goals, and what comes out.
+"""Common parts of all benchmarks: arguments, trials in a pool of processes, goals, and output.
 
 ``--json`` and NAME.json hold::
 
@@ -32,9 +32,9 @@ from fden_ros.progress import progress
 
 Result = TypeVar("Result")
 
-#: Names the folder with measured tests where none is given.
+#: Names the folder with measured tests by default.
 DATA_VARIABLE = "FDEN_DATA"
-#: Where no other number is given.
+#: Default number of processes.
 PROCESSES = 2
 #: Columns of a table that goes into a file.
 _WIDTH = 200
@@ -42,7 +42,7 @@ _WIDTH = 200
 
 @dataclass(frozen=True)
 class Goal:
-    """One figure and what it ought to be; `met` is None where this run cannot decide."""
+    """One figure and its target; `met` is None where this run cannot decide."""
 
     name: str
     value: float | int | str | None
@@ -58,8 +58,8 @@ def within(
 ) -> Goal:
     """Return the goal that a figure lies within limits, ends included.
 
-    A value that is not finite has not been measured: undecided. Where a confidence interval is
-    given, it decides: inside the limits the goal is met, beyond them missed, across one undecided.
+    A value that is not finite was not measured: undecided. A given confidence interval decides:
+    inside the limits the goal is met, beyond them missed, across one undecided.
     """
     low, high = limits
     words = f"{low:g} to {high:g}"
@@ -79,22 +79,22 @@ def within(
 def at_most(
     name: str, value: float, limit: float, interval: tuple[float, float] | None = None
 ) -> Goal:
-    """Return the goal that a figure is at most so large."""
+    """Return the goal of a largest figure."""
     return within(name, value, (-math.inf, limit), interval)
 
 
 def at_least(name: str, value: float, limit: float) -> Goal:
-    """Return the goal that a figure is at least so large."""
+    """Return the goal of a least figure."""
     return within(name, value, (limit, math.inf))
 
 
 def few(name: str, share: Share, limit: float) -> Goal:
-    """Return the goal that a share is at most so large, decided by its 95 % interval."""
+    """Return the goal of a largest share, decided by its 95 % interval."""
     return at_most(name, share.value, limit, share.interval() if share.whole else None)
 
 
 def worst(name: str, values: Iterable[float], limit: float) -> Goal:
-    """Return the goal that the largest of the values that were measured is at most so large."""
+    """Return the goal of a largest value among those that were measured."""
     return at_most(name, max((v for v in values if math.isfinite(v)), default=math.nan), limit)
 
 
@@ -107,7 +107,7 @@ class Table(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a benchmark has found: goals, and tables by name."""
+    """The results of a benchmark: goals, and tables by name."""
 
     goals: Sequence[Goal]
     tables: Mapping[str, Table]
@@ -133,7 +133,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """How a benchmark is called; seeds are fixed, and nothing is printed."""
+    """The arguments of a benchmark; seeds are fixed, and nothing is printed."""
 
     #: From arguments: `cases`, `parameters` a mapping, `contacts` a number with `numbers`.
     run: Callable[[argparse.Namespace], Report]
@@ -168,7 +168,7 @@ class Benchmark:
             self.more(parser)
 
     def resolve(self, args: argparse.Namespace) -> None:
-        """Put what the arguments name in their place.
+        """Replace the names in the arguments by their objects.
 
         Raises
         ------
@@ -201,7 +201,7 @@ def measured(
     jobs: int | None = None,
     what: str = "contacts",
 ) -> list[Result]:
-    """Return what a function makes of all tasks, in their order.
+    """Return the results of a function for all tasks, in their order.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def measured(
     jobs : int, optional
         Processes, by default :data:`PROCESSES`; 1: this one.
     what : str
-        Next to the bar of progress.
+        Label of the progress bar.
     """
     results: dict[int, Result] = {}
     jobs = jobs or PROCESSES

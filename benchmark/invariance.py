@@ -37,7 +37,7 @@ examples:
   fden benchmark invariance --json | jq '.figures.rigs'
 """
 
-#: Recordings end so long before the retreat [s], which would be seen by the summary alone.
+#: Recordings end this long before the retract [s], which only the summary may use.
 _BEFORE_RETREAT = 0.05
 #: Deviation of a parameter that is given [1]: it does not move.
 _TINY = 1e-9
@@ -83,7 +83,7 @@ def _with_period(period: float) -> Callable[[Record], Record]:
 
 
 class Change(NamedTuple):
-    """What is changed, and how far the estimate may move: in so many of the records, in all."""
+    """A change, and the allowed move of the estimate: in a share of the records, in all."""
 
     change: Callable[[Record], Record]
     usual: float  #: [deviations]
@@ -103,12 +103,12 @@ CHANGES = {
 LIVE = "last live state against the summary"
 _LIVE_LIMIT = 0.1
 
-#: How far one record's estimate moves by what is changed, (3,) each; empty: there is none.
+#: Moves of one record's estimate by each change, (3,) each; empty: there is none.
 Moves = Mapping[str, Array]
 
 
 def run(args: argparse.Namespace) -> Report:
-    """Identify every record as it is and changed, and hold the moves against their goals."""
+    """Identify every record as it is and changed, and compare the moves with their goals."""
     found = measured(run_trial, [(n,) for n in args.numbers], jobs=args.jobs, what="rigs")
     table = Table("Moves in stated deviations: ln G, ln Gn, alpha", rows_of(found))
     return Report(goals_of(found), {"rigs": table})
@@ -143,7 +143,7 @@ def moves_of(record: Record) -> Moves:
     moves = {} if live is None else {LIVE: np.abs(live.mean - whole.mean) / scale}
     for name, change in CHANGES.items():
         _, other = identify(change.change(record))
-        # An estimate that is lost is infinitely far.
+        # A lost estimate has moved infinitely far.
         far = np.full(3, np.inf) if other is None else np.abs(other.mean - whole.mean) / scale
         moves[name] = far
     return moves
@@ -177,7 +177,7 @@ def rows_of(found: Sequence[Moves]) -> dict[str, dict[str, Any]]:
 
 
 def goals_of(found: Sequence[Moves]) -> list[Goal]:
-    """Hold the moves of all records against the goals."""
+    """Compare the moves of all records with the goals."""
     goals = []
     for name, change in CHANGES.items():
         largest = np.array([moves[name].max() for moves in found if name in moves])

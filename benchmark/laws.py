@@ -71,13 +71,13 @@ _STEP = 1.0 / (_RATE_HZ * _CUTS)
 #: Of the peak.
 _NOISE_SHARE = 1e-3
 _MAX_STRAIN = 0.25
-#: Before the first press, between two, and after the last; the probe comes from so high [m] at
-#: the rate of the press.
+#: Before the first press, between two, and after the last; the probe starts at this height [m],
+#: at the rate of the press.
 _AIR_S, _HEIGHT_M = 2.0, 0.002
 _RETRACT_RATE = 0.5
 #: What is predicted [s].
 AHEAD_S = 3.0
-#: Where on the ramp is predicted, as a share of its part in contact.
+#: Times of the predictions on the ramp, as a share of its part in contact.
 _ON_RAMP = 0.6
 _LATER_S = 0.5
 #: Of a press, in the order of time.
@@ -108,7 +108,7 @@ GEOMETRIES: Mapping[str, Mapping[str, Any]] = {
 }
 #: How long the small motion lasts [s], and its size in parts of the compression [1].
 TIME_SCALE, _SIZE = 0.1, 1e-3
-#: How well the simulation tells it: its step takes a fiftieth of the time scale [1].
+#: Resolution of the simulation: its step is a fiftieth of the time scale [1].
 _RESOLUTION = 0.005
 
 
@@ -154,9 +154,9 @@ _ALL = (
     _own("fden_three", "the law itself, three presses", 3),
 )
 CASES = {case.name: case for case in _ALL}
-#: Whose N/m alone is asked for: they have no relaxation of their own.
+#: Only their N/m is compared: they have no relaxation of their own.
 _OTHERS = {"kelvin_voigt": "spring and dashpot", "hunt_crossley": "Hunt and Crossley"}
-#: Laws that change smoothly: no tissue of theirs changes under the probe.
+#: Laws that change smoothly: none of their tissues changes under the probe.
 _SMOOTH = ("linear_solid_10", "poroelastic_20", "softens_10")
 
 
@@ -172,10 +172,10 @@ class Recording:
 
 
 class Predicted(NamedTuple):
-    """What was made of one moment; shares of the peak."""
+    """The result at one moment; shares of the peak."""
 
     moment: str
-    refusal: str = ""  #: why nothing is predicted; empty: it is
+    refusal: str = ""  #: why nothing is predicted; empty: there is a prediction
     inside: float = math.nan  #: share of the samples of the next 3 s in the 95 % interval
     half_width: float = math.nan  #: of that interval, median
     error: float = math.nan  #: root mean square
@@ -229,7 +229,7 @@ def recorded(case: Case, number: int) -> Recording:
     times: Array = fine[_CUTS - 1 :: _CUTS]
     moments = []
     for deepest, lifted in holds:
-        # The tissue has not come back from the last press: it is met on the way.
+        # The tissue has not recovered from the last press: the touch is below the surface.
         touch = float(times[(times < deepest) & (forces == 0.0)][-1])
         instants = (
             *(touch + _ON_RAMP * (deepest - touch), deepest, deepest + _LATER_S),
@@ -274,7 +274,7 @@ def run_trial(which: tuple[str, str], number: int) -> Trial:
 
 
 def _predicted(recording: Recording, live: LiveTissue, heard: float, moment: str) -> Predicted:
-    """Return what a listener predicts at `heard` [s] for the motion that follows."""
+    """Return a listener's prediction at `heard` [s] for the motion that follows."""
     now = START_NS / NANOSECONDS + heard
     predictor = live.predictor(now)
     if predictor is None:
@@ -300,7 +300,7 @@ class Press(NamedTuple):
 
     strains: Array  #: of the probe at the end of each step, negative in the air
     noise: Array  #: of the samples, in parts of the largest force
-    instants: tuple[float, ...]  #: at which N/m is asked for [s]
+    instants: tuple[float, ...]  #: of the N/m [s]
 
 
 class Found(NamedTuple):
@@ -314,9 +314,9 @@ class Found(NamedTuple):
 
 
 def found_at(press: Press, stress: Stress, parameters: Mapping[str, Any]) -> list[Found]:
-    """Return what is published at the moments of a press, beside the truth.
+    """Return the published N/m at the moments of a press, and the truth.
 
-    The strains are pressed whatever the geometry: the way follows from them.
+    The strains are pressed whatever the geometry: the path follows from them.
     """
     config = pipeline_config(check(parameters))
     geometry = config.geometry
@@ -399,7 +399,7 @@ def _stress_of(name: str, generator: np.random.Generator, model: FdenModel) -> S
 
 
 def run_stiffness(which: tuple[str, str, str], number: int) -> list[Found]:
-    """Press a law once, and return N/m at the moments of the press, beside the truth."""
+    """Press a law once, and return N/m at the moments of the press, and the truth."""
     name, geometry, rig = which
     generator, model = _drawn(f"{name}, {geometry}", number)
     rate = math.exp(generator.uniform(math.log(0.1), math.log(0.5)))
@@ -477,7 +477,7 @@ def row_of(trials: Sequence[Trial]) -> dict[str, Any]:
 def goals_of(
     rows: Mapping[str, Mapping[str, Any]], rigid: Mapping[str, Sequence[Trial]]
 ) -> list[Goal]:
-    """Hold each law against the goals."""
+    """Compare each law with the goals."""
     goals = [
         at_least(f"in the 95 % interval: {name}", row["in 95 %"], 0.9)
         for name, row in rows.items()

@@ -14,8 +14,8 @@ parameter of its own, not negative,
     w_{nj} = \frac{(t_n-t_{j-1})^{1-\alpha} - (t_n-t_j)^{1-\alpha}}
                   {\Gamma(2-\alpha)\,(t_j-t_{j-1})}
 
-The forces of the ramp are then met by any order, and the hold alone decides: no estimator, no
-prior and no exponential is in it.
+Any order fits the forces of the ramp, so the hold alone decides, without an estimator, a
+prior or an exponential.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import KNOWN_RIG
 
 COLUMNS = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
-#: How much of the hold is seen [s].
+#: Visible part of the hold [s].
 SEEN_HOLD = 2.0
 #: The force noise of these tests, as their README states it [N].
 FORCE_NOISE = 1e-3
@@ -86,13 +86,13 @@ class Test:
 
     @property
     def seen(self) -> int:
-        """How many samples there are of the ramp and the first 2 s of the hold."""
+        """Number of samples of the ramp and the first 2 s of the hold."""
         last = self.times[self.hold] + SEEN_HOLD
         return int(np.searchsorted(self.times, last, side="right"))
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Of the identifier: a testing machine, whose rig leaves nothing open."""
+        """Of the identifier: a testing machine with an exactly known rig."""
         rig = {name: value for name, value in KNOWN_RIG.items() if name != "converged.log_gn_sd"}
         return rig | {
             "geometry.kind": "flat_punch",

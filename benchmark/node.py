@@ -68,8 +68,8 @@ _WARM_UP = 0.5
 _PAUSE, _COUNTING_PAUSE = 0.2, 1.5
 #: Memory counts from then on [s].
 _MEMORY_FROM = 60
-#: A turn begins at this time of the recording [s]: with 1.5 s of air, which a touch has to have
-#: before it to be learned from.
+#: A turn begins at this time of the recording [s]: with 1.5 s of air, from which the
+#: identifier needs to learn before a touch.
 _PRESS_FROM = 0.5
 _BLOCK = 10
 _STAMP = struct.Struct("<iI")
@@ -85,7 +85,7 @@ _USUAL_RATE = 1000.0
 
 
 class Turn(NamedTuple):
-    """One stretch of messages for one of those in the middle."""
+    """One stretch of messages for one of the processes under test."""
 
     what: str
     rate: float  #: of each stream [Hz]
@@ -94,7 +94,7 @@ class Turn(NamedTuple):
 
 
 class _Watched(NamedTuple):
-    """What was seen of a process during a turn."""
+    """The record of a process during a turn."""
 
     sent: int
     begin_ns: int
@@ -116,7 +116,7 @@ def _more(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> Report:
-    """Measure; the exit code does not depend on what comes out."""
+    """Measure; the exit code does not depend on the result."""
     if args.burners < 0:
         raise InputError(f"--burners {args.burners} must not be negative")
     seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
@@ -132,7 +132,7 @@ def run(args: argparse.Namespace) -> Report:
 
 
 def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
-    """Hold the node against the relay, on an idle machine or beside burners."""
+    """Compare the node with the relay, on an idle machine or next to burners."""
     node, relay = (rows[_name(what, _USUAL_RATE)] for what in (NODE, RELAY))
 
     def ratio(key: str) -> float:
@@ -177,7 +177,7 @@ def _name(what: str, rate: float) -> str:
 def measure(
     plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None, *, burners: int = 0
 ) -> dict[str, dict[str, Any]]:
-    """Run source, sink and what is between them; return the figures of each at each rate."""
+    """Run source, sink and the processes between them; return the figures of each at each rate."""
     environment = dict(os.environ)
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     environment.setdefault("ROS_DOMAIN_ID", str(40 + os.getpid() % 50))
@@ -221,7 +221,7 @@ def measure(
 
 
 def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
-    """Wait for a turn, and return what the process took for it."""
+    """Wait for a turn, and return the use of resources of the process."""
     begin_ns = json.loads(sender.stdout.readline())["begin_ns"]
     memory = [_memory_mb(pid)]
     time.sleep(_WARM_UP)
@@ -235,7 +235,7 @@ def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
 
 
 def _row(turns: Sequence[_Watched], arrived: Any, counts: Any, ticks: Any) -> dict[str, Any]:
-    """Return what the turns of one kind come to; lists are over the turns, or seconds."""
+    """Return the figures of the turns of one kind; lists are over the turns, or seconds."""
     before = _counted_at(counts, turns[0].begin_ns)
     after = _counted_at(counts, turns[-1].end_ns + round(0.9e9 * _COUNTING_PAUSE))
     came = {name: count - before.get(name, 0) for name, count in after.items()}
@@ -257,16 +257,16 @@ def _row(turns: Sequence[_Watched], arrived: Any, counts: Any, ticks: Any) -> di
     }
 
 
-def _counted_at(told: Sequence[tuple[int, dict[str, int]]], time_ns: int) -> dict[str, int]:
+def _counted_at(diagnostics: Sequence[tuple[int, dict[str, int]]], time_ns: int) -> dict[str, int]:
     """Return what a process had counted at a time, by its last diagnostics before."""
-    return next((counts for heard_ns, counts in reversed(told) if heard_ns <= time_ns), {})
+    return next((counts for heard_ns, counts in reversed(diagnostics) if heard_ns <= time_ns), {})
 
 
 def _latency_ms(arrivals: NDArray[np.int64], turn: _Watched) -> Array:
-    """Return the time from stamp to arrival of what belongs to a turn [ms]."""
+    """Return the time from stamp to arrival of a turn's messages [ms]."""
     stamps = arrivals[:, 0]
     own = (stamps > turn.begin_ns + _WARM_UP * 1e9) & (stamps < turn.end_ns)
-    # A stale state is stamped 1 ns after the state that it takes back.
+    # A stale state is stamped 1 ns after the state that it replaces.
     own[1:] &= np.diff(stamps) != 1
     latency: Array = 1e-6 * (arrivals[own, 1] - stamps[own])
     return latency if latency.size else np.array([np.nan])
@@ -318,7 +318,7 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
 
 
 def end_with_parent() -> None:
-    """Let Linux kill the calling process when its parent ends, however that does."""
+    """Let Linux kill the calling process when its parent ends, in whatever way."""
     live.end_with_parent(signal.SIGKILL)
 
 
@@ -406,7 +406,7 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
         ]
         done = {"sent": count, "end_ns": time.time_ns(), "contacts": touches}
         print(json.dumps(done), flush=True)
-    # What is still under way, and the last diagnostics.
+    # Messages in transit, and the last diagnostics.
     time.sleep(_COUNTING_PAUSE)
     node.destroy_node()
     rclpy.try_shutdown()
@@ -421,7 +421,7 @@ def _packed(values: Array, rate: float) -> list[bytes]:
 
 @contextlib.contextmanager
 def _spun(name: str, **options: Any) -> Iterator[Any]:
-    """Have a node, and spin it after the block, until a signal."""
+    """Own a node, and spin it after the block, until a signal."""
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
@@ -442,7 +442,7 @@ def _spun(name: str, **options: Any) -> Iterator[Any]:
 
 
 def _relay() -> None:
-    """Take the same messages, publish one of the same kind as often, compute nothing."""
+    """Receive the same messages, publish one of the same kind as often, compute nothing."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from fden_msgs.msg import TissueEstimate
     from geometry_msgs.msg import WrenchStamped
@@ -477,7 +477,7 @@ def _relay() -> None:
 
 
 def _sink() -> None:
-    """Receive the results: when they came, and what was counted."""
+    """Receive the results: arrival times and counts."""
     from diagnostic_msgs.msg import DiagnosticArray
     from fden_msgs.msg import TissueEstimate
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -509,7 +509,7 @@ def _sink() -> None:
 
 
 def _controller() -> None:
-    """Be a controller: at each tick note the newest estimate, and its use."""
+    """Act as a controller: at each tick record the newest estimate, and its use."""
     from fden_ros.core.outputs import Status, TissueState
     from fden_ros.tissue_feed import TissueFeed
 
@@ -538,7 +538,7 @@ def _controller() -> None:
 
 
 def main() -> None:
-    """Be one of the processes of a run."""
+    """Run one of the processes of the benchmark."""
     parser = argparse.ArgumentParser(prog="python -m benchmark.node")
     parser.add_argument("role", choices=("source", "relay", "sink", "controller"))
     parser.add_argument("--turns", type=json.loads, default=[])

@@ -39,7 +39,7 @@ def standard_linear_solid(time_s: float, left: float = 0.5) -> Relaxation:
 
 
 def poroelastic(time_s: float, drop: float = 1.0) -> Relaxation:
-    """Return that of a layer from which the fluid is pressed out, its slowest time `time_s` [s].
+    """Return that of a layer that drains under pressure, its slowest time `time_s` [s].
 
     Terzaghi's one-dimensional consolidation: 1 in the end and 1 + `drop` at first.
     """

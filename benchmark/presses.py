@@ -43,11 +43,11 @@ from simulation.trajectory import Approach, Palpation, Ramp, RampHold
 RATE_HZ = 500.0
 #: As stated to the identifier.
 _THICKNESS_M = 0.02
-#: The tissue is thicker or thinner than that by a share uniform between these two: a deviation of
-#: 2 %, which is what `geometry.thickness_sd` states by default.
+#: The true thickness is off by a share uniform between these two: a deviation of
+#: 2 %, which is the default of `geometry.thickness_sd`.
 _MOST_THICKER = 0.02 * math.sqrt(3.0)
 _RADIUS_M, _WIDE_RADIUS_M = 0.01, 0.02
-#: Beside the number of the recording, so that these draws are none of the simulation's own.
+#: Seeds with the number of the recording, so that these draws are none of the simulation's own.
 _DRAWS = 19
 
 HOLD: Press = RampHold(0.2, 0.25, 2.0, 0.4)
@@ -71,7 +71,7 @@ PRIOR: Mapping[str, Any] = {
 class Case:
     """One kind of rig and press."""
 
-    #: What is disturbed, short and in words
+    #: The disturbance, short and in words
     name: str
     says: str
     presses: tuple[Press, ...] = (HOLD,)  #: At each site
@@ -79,14 +79,14 @@ class Case:
     disturbances: Disturbances = field(default_factory=Disturbances)
     preload: Preload = field(default_factory=Preload)
     sites: int = 1  #: How many are touched, all of one tissue
-    pitch_m: float = 0.0  #: From one site to the next; 0: places are not told
+    pitch_m: float = 0.0  #: From one site to the next; 0: places are not recorded
     #: Of the punch; white noise of the force; delay of the displacement that is not corrected
     radius_m: float = _RADIUS_M
     noise_n: float = 0.010
     delay_s: float = 0.0
     liver: bool = False  #: The tissue is the paper's liver
-    detection: bool = False  #: It is there to fool the detection of contact
-    beyond: bool = False  #: Far beyond what a rig is expected to do: may be told as changed tissue
+    detection: bool = False  #: A test of the contact detection
+    beyond: bool = False  #: Far beyond a usual rig: may be reported as changed tissue
 
     @property
     def press_count(self) -> int:
@@ -96,7 +96,7 @@ class Case:
 
     @property
     def largest_noise_n(self) -> float:
-        """What a press has to stand out from, in N."""
+        """The noise that a press has to exceed, in N."""
         d = self.disturbances
         return max(self.noise_n, d.hum_n, d.vibration_n, d.force_step_n)
 
@@ -215,7 +215,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
         ),
         sites=tuple(sites),
         approach=Approach(
-            # Where the touch lies between two samples is chance.
+            # The touch lies anywhere between two samples.
             distance_m=generator.uniform(0.005, 0.0055),
             speed_m_per_s=0.01,
             slow_distance_m=0.002,
@@ -234,7 +234,7 @@ def scenario_of(case: Case, number: int) -> Scenario:
 
 
 def parameters_of(recording: Recording) -> dict[str, Any]:
-    """Return the identifier's parameters: nothing is told of thickness, delay, or the rig."""
+    """Return the identifier's parameters, without thickness, delay, or the rig."""
     own = {**recording.truth["identifier_parameters"], **PRIOR}
     own["geometry.thickness"] = _THICKNESS_M
     for name in ("displacement.delay", *EXACT):
@@ -296,7 +296,7 @@ def _slope(motion: Array, stamp_ns: int, sign: int) -> float:
     at = int(np.searchsorted(motion[:, 0], stamp_ns))
     _, places, forces = motion[at::-sign].T
     ways = places[0] - places
-    # What goes further than all before it; the last step may be part of the hold.
+    # Samples beyond all earlier ones; the last step may be part of the hold.
     further = np.diff(np.maximum.accumulate(ways), prepend=-np.inf) > 0.0
     inside = further & (ways > 0.0) & (ways <= _WAY)
     line = np.polynomial.Polynomial.fit(-ways[inside], forces[inside], 2)
@@ -309,7 +309,7 @@ def _smooth(scenario: Scenario) -> Scenario:
     steady: dict[str, Any] = dict.fromkeys(noises, 0.0)
     return replace(
         scenario,
-        # A signal without any is taken for one that is stuck.
+        # A signal without any noise would count as stuck.
         force=replace(scenario.force, noise_n=1e-7),
         displacement=replace(scenario.displacement, noise_m=1e-10),
         disturbances=replace(scenario.disturbances, **steady),

@@ -41,7 +41,7 @@ Columns: test, material, time_s, force_N, displacement_mm, gap_mm (others are ig
 #: Materials by the beginning of their name: which the model describes, and which it does not.
 TISSUE, NOT_TISSUE = "beef", "silicone"
 _QUICK_TESTS = 4
-#: Where the interval is looked at by itself [s ahead], each to the next.
+#: Times of separate looks at the interval [s ahead], each to the next.
 AHEAD = (0.5, 2.0, 5.0, 9.0)
 _NEAR = 0.5
 #: Deviation of a parameter that is given [1]: it does not move.
@@ -50,7 +50,7 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was made of one test; forces in percent of the peak."""
+    """The result of one test; forces in percent of the peak."""
 
     test: Test
     predicted: Array  #: [N], shape (m,)
@@ -84,7 +84,7 @@ class Outcome:
 
     @property
     def moved(self) -> Array:
-        """By what is seen less by the whole record, over the deviations of the former, (3,)."""
+        """By the visible part less by all, over the deviations of the former, (3,)."""
         moved: Array = (self.short.mean - self.whole.mean) / np.maximum(
             self.short.deviations, _TINY
         )
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> Report:
 
 
 def predict(test: Test) -> Outcome | None:
-    """Return what is predicted from what is seen of a test; None: nothing is known of it."""
+    """Return the prediction from the visible part of a test; None: no estimate."""
     try:
         whole, _, summary = identify(test)
         short, mean, sd = foretell(test)
@@ -176,10 +176,10 @@ def _goals(rows: dict[str, dict[str, Any]]) -> list[Goal]:
         ]
     if silicone := rows.get(NOT_TISSUE):
         goals.append(at_least("silicone: in the 95 % interval", silicone["in 95 %"], 0.9))
-        told = silicone["mismatch"].part == silicone["mismatch"].whole
+        is_reported = silicone["mismatch"].part == silicone["mismatch"].whole
         moved = float(np.max(silicone["short over whole"]))
         words = "silicone: short over whole, the largest, unless told"
-        goals.append(at_most(words, 0.0 if told else moved, 1.5))
+        goals.append(at_most(words, 0.0 if is_reported else moved, 1.5))
         goals.append(at_most("silicone: told as changed", float(silicone["changed"].part), 0.0))
     return goals
 

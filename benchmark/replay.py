@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> Report:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "palpation"
         write_recording(simulate(scenario, scenario.seed), bag)
-        # Of two processes one is new for the only task.
+        # One of two processes is new for a single task.
         count = _QUICK_ROUNDS if args.quick else _ROUNDS
         rounds = [measured(speed_of, [(bag,)], what=bag.name)[0] for _ in range(count)]
     speed = min(rounds, key=lambda found: found["replay [s]"])

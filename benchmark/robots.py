@@ -44,7 +44,7 @@ examples:
   fden benchmark robots --parameters config/bench.yaml --jobs 2
 """
 
-#: A press this many times the noise is not to be missed.
+#: A press this many times the noise must not be missed.
 _CLEAR = 10.0
 _REFERENCE = ("undisturbed", "undisturbed_press")
 
@@ -93,7 +93,7 @@ def row_of(case: Case, outcomes: Sequence[Outcome]) -> dict[str, Any]:
 def goals_of(
     found: Mapping[str, Sequence[Outcome]], rows: Mapping[str, Mapping[str, Any]]
 ) -> list[Goal]:
-    """Hold the cases against the goals."""
+    """Compare the cases with the goals."""
     lower = {name: row for name, row in rows.items() if CASES[name].detection}
     expected = [
         contact
@@ -157,7 +157,7 @@ def goals_of(
 
 
 def _narrowing(outcomes: Sequence[Outcome]) -> Goal:
-    """Return the goal of what ten sites of one rig teach of it."""
+    """Return the goal for what ten sites of one rig show of it."""
     first, last = (
         np.array([c.deviation for o in outcomes for c in o.contacts if c.number == number])
         for number in (0, 9)

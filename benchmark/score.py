@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The statistics of all benchmarks: what counts as off, silent, honest, and how sure that is."""
+"""The statistics of all benchmarks: errors beyond the limits, undetected ones, and intervals."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ TWO_SIDED_95 = 1.959964
 _NOTHING = np.full(3, np.nan)
 #: An error counts from this many stated deviations, and these sizes of ln G, ln Gn, alpha.
 _DEVIATIONS, _SIZES = 5.0, np.array([0.03, 0.03, 0.01])
-#: Summaries and states with another flag than these say that something is wrong.
+#: Summaries and states with a flag other than these report a problem.
 _HARMLESS = Flag.INPUT_REJECTED
 _RESAMPLES = 1000
-#: Flags that say that the tissue is not what the law describes, or no longer the same.
+#: Flags of a tissue that the law does not describe, or that has changed.
 ALARMS = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
 
 
 class Share(NamedTuple):
-    """So many of so many."""
+    """A share of a count."""
 
     part: int
     whole: int
@@ -65,17 +65,17 @@ def total(shares: Iterable[Share]) -> Share:
 
 
 def warns(flags: Flag) -> bool:
-    """Return whether a flag says that something is wrong."""
+    """Return whether a flag reports a problem."""
     return bool(flags & ~_HARMLESS)
 
 
 def is_off(error: Array, deviation: Array) -> bool:
-    """Return whether errors of (ln G, ln Gn, alpha) are beyond what is stated, each (3,)."""
+    """Return whether errors of (ln G, ln Gn, alpha) exceed the stated deviations, each (3,)."""
     return bool(np.any((np.abs(error) > _DEVIATIONS * deviation) & (np.abs(error) > _SIZES)))
 
 
 class Judged(NamedTuple):
-    """What the summary of one contact says, beside the truth."""
+    """The summary of one contact, compared with the truth."""
 
     converged: bool
     flags: Flag
@@ -91,7 +91,7 @@ class Judged(NamedTuple):
 
     @property
     def is_silent(self) -> bool:
-        """Whether it is off, and nothing says so."""
+        """Whether it is off without a flag."""
         return self.claims and self.is_off
 
     @property
@@ -103,7 +103,7 @@ class Judged(NamedTuple):
 def judged(
     estimate: Estimate | None, truth: Array, converged: bool, flags: Flag, number: int = 0
 ) -> Judged:
-    """Return an estimate beside the true (ln G, ln Gn, alpha), shape (3,)."""
+    """Return an estimate compared with the true (ln G, ln Gn, alpha), shape (3,)."""
     if estimate is None:
         return Judged(converged, flags, _NOTHING, _NOTHING, number)
     return Judged(converged, flags, estimate.mean - truth, estimate.deviations, number, estimate)
@@ -111,12 +111,12 @@ def judged(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the pipeline made of one recording."""
+    """The results of one recording."""
 
     presses: int  #: Made
     contacts: tuple[Judged, ...]  #: By the last summary of each
     claims: Share  #: Of the unflagged CONVERGED states those that are off
-    live: Flag  #: All that the states told
+    live: Flag  #: All flags of the states
     held: Array  #: Stated deviations at the end of the first press's hold, shape (3,)
     stuck: int = 0  #: Samples dropped as stuck
     #: Of the measured slopes of the contacts those whose 95 % interval holds that of the
@@ -129,7 +129,7 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
     *undetected*: presses whose contact is converged, unflagged and off; *live*: states alike;
     *error over sd*: root mean square; *in 95 %*: share of the intervals that hold; *told live*:
-    recordings of which any state tells a mismatch or a change; *sd*: median, as stated.
+    recordings of which any state reports a mismatch or a change; *sd*: median, as stated.
     """
     every = [contact for outcome in outcomes for contact in outcome.contacts]
     pressed = [contact for contact in every if contact.number >= 0]
@@ -179,7 +179,7 @@ def median(values: Array) -> Array:
 def bootstrapped(
     values: Array, transform: Callable[[Any], Any] = lambda mean: mean
 ) -> tuple[float, float, float]:
-    """Return the transformed mean and its 95 % interval, values drawn anew with replacement."""
+    """Return the transformed mean and its 95 % interval, by resampling with replacement."""
     if len(values) < 2:
         return math.nan, math.nan, math.nan
     picks = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings through the pipeline, and what it says beside the truth."""
+"""Recordings through the pipeline, and its results compared with the truth."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def feed(sink: Pipeline | Synchronizer, recording: Recording) -> None:
 
 
 def through(recording: Recording, config: PipelineConfig) -> tuple[Pipeline, list[Output]]:
-    """Return the pipeline that has taken a recording, and all that it put out."""
+    """Return the pipeline after a recording, and all of its outputs."""
     outputs: list[Output] = []
     pipeline = Pipeline(config, outputs.append)
     feed(pipeline, recording)
@@ -77,7 +77,7 @@ def through(recording: Recording, config: PipelineConfig) -> tuple[Pipeline, lis
 
 
 def last_summaries(outputs: Sequence[Output]) -> dict[int, ContactSummary]:
-    """Return the last word on each contact: a summary may withdraw an earlier one."""
+    """Return the last summary of each contact: it may withdraw an earlier one."""
     return {o.contact_id: o for o in outputs if isinstance(o, ContactSummary)}
 
 
@@ -103,7 +103,7 @@ def presses_of(recording: Recording) -> list[tuple[float, float]]:
 def outcome_of(
     recording: Recording, pipeline: Pipeline, outputs: Sequence[Output], held: float = math.nan
 ) -> Outcome:
-    """Judge what a pipeline has said of a recording.
+    """Judge a pipeline's results for a recording.
 
     Parameters
     ----------

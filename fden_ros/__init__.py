@@ -14,7 +14,7 @@ __version__: str
 
 
 def __getattr__(name: str) -> Any:
-    # Only where it is asked for: each takes as long to import as all that the core needs at first.
+    # Imported on demand: each takes as long to import as all that the core needs at first.
     if name == "__version__":
         from importlib.metadata import version
 

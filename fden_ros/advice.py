@@ -31,24 +31,24 @@ def _table(text: str) -> dict[str, Advice]:
 #: By the flag of a contact: what counts most comes first.
 FLAGS = _table("""
 IMPLAUSIBLE | strain, force, rate or a size cannot be what it says | check the units
-GEOMETRY_UNSTATED | the geometry is not stated: the numbers are those of a probe that stands in
-  for it | state probe and tissue (geometry) for G and Gn
-TOUCH_NOT_OBSERVED | the touch was not observed, in the recording or above noise and drift
+GEOMETRY_UNSTATED | the geometry is not stated: the numbers are those of a default probe | state
+  probe and tissue (geometry) for G and Gn
+TOUCH_NOT_OBSERVED | the touch was not observed: the recording lacks it, or noise and drift hide it
   | begin 1 s in the air, and touch within 5 s or with a larger face, for G and Gn
-ESTIMATION_FAILED | the computation failed at this site: there is no estimate until the next one
+ESTIMATION_FAILED | the computation failed at this site: there is no estimate before the next site
   | report it, with the traceback of the log
-MODEL_MISMATCH | the model does not describe this contact: the force is not what it predicts
+MODEL_MISMATCH | the model does not describe this contact: it mispredicts the force
   | rely on the measured slope
 TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deep
 ALPHA_PRIOR_CONFLICT | the relaxation contradicts the stated alpha
-  | leave alpha to the data (alpha.learn: true), or state what this tissue has
+  | learn alpha from the data (alpha.learn: true), or state that of this tissue
 RIG_PRIOR_CONFLICT | delay, friction or compliance is more than 2.5 standard deviations off what is
   stated, and the deviations are widened
-  | measure the delay by fden configure and state it (displacement.delay), or press a rigid plate
-FORCE_DRIFTED | the force in the air after the contact was not that before it, and the deviations
-  are widened by as much | tare, let the sensor warm up, or state force.drift_sd
-SATURATED | the force was at its end: stuck, beyond force.limit, or still while the probe went on
-  | press less, or raise force.limit where it is below the sensor's
+  | measure the delay with fden configure and state it (displacement.delay), or press a rigid plate
+FORCE_DRIFTED | the force in the air after the contact differs from that before it, and the
+  deviations are widened by as much | tare, let the sensor warm up, or state force.drift_sd
+SATURATED | the force was at its limit: stuck, beyond force.limit, or constant while the probe
+  moved on | press less, or raise force.limit if it is below the sensor's
 GAP | samples are missing within this site's memory | make the link reliable
 """)
 #: By the source of a variance.
@@ -58,31 +58,31 @@ drift | drift | state force.drift_sd, or press faster
 friction | friction | state force.friction_sd, or press harder
 motion | motion of the surface | state surface.motion_sd, or press faster
 compliance | compliance | state displacement.compliance_sd
-backlash | play of the drive | press deeper, or measure the tip
-delay | delay | measure it by fden configure
-surface | the place of the surface | touch it slower
+backlash | play of the drive | press deeper, or measure the position of the tip
+delay | delay | measure it with fden configure
+surface | the position of the surface | touch more slowly
 law | errors of the law | hold for 2 s, and press here again
 thickness | thickness | state geometry.thickness_sd
-prior | what the prior leaves open | hold for 2 s for alpha, or press deeper
+prior | the width of the prior | hold for 2 s for alpha, or press deeper
 """)
 #: By what a contact lacks without a flag, and by the parameter at a limit of its prior.
 LACKS = _table("""
 linear part | {noise} of noise hide the linear part, so G is not observable
   | use a larger face or a quieter sensor
-bend | Gn is not observable: the strain reached {strain:.3f} and did not surely pass the boundary
+bend | Gn is not observable: the strain reached {strain:.3f}, not clearly beyond the boundary
   1/Gn, about {boundary:.3f} | press to {depth} mm for Gn
 settled | not converged: the estimator has not settled, or another explanation is as likely
-  | press here once more
+  | press here again
 alpha | alpha is not determined by the data | hold for 2 s for alpha
 estimate | there is no estimate
 end | the contact was cut short, or data were lost
 rejected | {count} samples were rejected during the contact
-linear_stiffness | G lies at a limit of its prior
+linear_stiffness | G is at a limit of its prior
   | check units and geometry, or leave prior.* out
-nonlinear_stiffness | Gn lies at a limit of its prior
+nonlinear_stiffness | Gn is at a limit of its prior
   | leave prior.* out, or state prior.nonlinear_stiffness_log_sd as 1
-fractional_order | alpha lies at a limit of what tissue has
-  | measure the delay by fden configure, or rely on the measured slope
+fractional_order | alpha is at a limit of the range of tissue
+  | measure the delay with fden configure, or rely on the measured slope
 """)
 #: By what is odd about the samples, the likeliest remedy first.
 INPUTS = _table("""
@@ -92,16 +92,17 @@ both signs | the force fell below its value in the air, and the displacement fal
   | change both signs (force.axis and displacement.axis, or their .inverted), or begin in the air
 force sign | the force fell below its value in the air
   | change its sign (force.axis, force.inverted), or begin in the air
-touch | the force fell below its value in the air, where a faint touch was taken for the air
+touch | the force fell below its value in the air: a faint touch was mistaken for the air
   | touch faster, or begin in the air
 drift | the force drifts in the air | tare, or let the sensor warm up
 rise | the force rises without a touch | begin in the air (a testing machine's table:
-  --from-touch), or where it drifts tare and let the sensor warm up
+  --from-touch), or, if it drifts, tare and let the sensor warm up
 clock | the clock jumped back: everything learned was reset
-stuck | the force repeated one value: is the sensor dead, or at its end?
+stuck | the force repeated one value: is the sensor dead, or at its limit?
 no pair | no pair of force and displacement: do the stamps of the two topics overlap?
 no contact | no contact was found
-  | check force.axis and displacement.axis (both grow as the probe presses) and force.threshold
+  | check force.axis and displacement.axis (both must grow as the probe presses) and
+  force.threshold
 """)
 #: By what keeps the inputs from the node.
 TOPICS = _table("""
@@ -114,15 +115,15 @@ other type elsewhere | nothing publishes {topic}, where {expected} is expected: 
 type | {topic} is published as {kind}, expected {expected}
   | set {stream}.message to {name}, or remap it, {remap}
 unknown type | {topic} is published as {kind}, expected {expected} | remap it, {remap}
-reliability | a publisher on {topic} offers best_effort where reliable is requested: nothing comes
-  from it | set {override} to best_effort
+reliability | a publisher on {topic} offers best_effort but reliable is requested: nothing
+  arrives from it | set {override} to best_effort
 several | {topic} has {count} publishers: their samples are mixed
-silent | {topic} is published by {names}, but no message has come from it
+silent | {topic} is published by {names}, but no message has arrived
 zero_stamp | the header stamps of the {stream} are not set
   | set them, or set synchronize.stamp_source to receive
 missing_field | no joint of that name has the value | set {stream}.name
-no_transform | no transform has the time of a force | stamp both by one clock
-no pair | do their header stamps overlap, and are they of one clock?
+no_transform | no transform has the time of a force | stamp both with one clock
+no pair | do their header stamps overlap, and come from one clock?
   | if not, set synchronize.stamp_source to receive
 no clock | use_sim_time is set but nothing publishes /clock
   | play the bag with ros2 bag play --clock, or set use_sim_time to false

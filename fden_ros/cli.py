@@ -34,15 +34,15 @@ _HELP_WIDTH = 96
 COMMANDS = {
     "bag": "make a synthetic palpation bag",
     "replay": "estimate from a recorded bag",
-    "report": "write a page on a recording",
-    "batch": "identify an archive of bags",
+    "report": "write a report on a recording",
+    "batch": "identify all bags of an archive",
     "play": "publish a bag on live topics",
     "train": "learn a tissue library from labelled contacts",
     "fit": "identify from a laboratory's experiment (CSV)",
     "configure": "propose a parameter file from recordings of an unknown probe",
     "parameters": "print every parameter of the identifier, explained",
     "benchmark": "measure accuracy and speed against their goals",
-    "monitor": "show a running identifier in the terminal",
+    "monitor": "show the state of a running identifier in the terminal",
     "live": "simulator, identifier, controller and monitor together",
 }
 

@@ -115,7 +115,7 @@ class Inputs:
         self._sink.reject(stream, reason)
 
     def add(self, name: str, message: Any, received: int | None = None) -> None:
-        """Take a message of an input; with a time of reception [ns], that is its stamp."""
+        """Add a message of an input; a time of reception [ns] replaces its stamp."""
         if name in TRANSFORM_TOPICS:
             self._add_transforms(message, received, is_static=name == "/tf_static")
             return
@@ -134,7 +134,7 @@ class Inputs:
             self.add_displacement(header.frame_id, stamp, value, turn)
 
     def add_force(self, frame_id: str, stamp: int, value: NumberOrVector | None) -> None:
-        """Take a force [N] that is a number or a vector, which may turn; None: there is none."""
+        """Add a force [N]: a number or a vector, which may turn; None: missing."""
         if not self._is_own_frame("force", frame_id):
             return
         if value is None:
@@ -153,7 +153,7 @@ class Inputs:
         value: NumberOrVector | None,
         orientation: Quaternion | None = None,
     ) -> None:
-        """Take a number or a position [m]; None: there is none."""
+        """Add a number or a position [m]; None: missing."""
         if not self._is_own_frame("displacement", frame_id):
             return
         # A number says nothing of the tool's orientation.

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that come along with the package: in the source tree, or installed beside it."""
+"""Files of the package: in the source tree, or installed with it."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ _SMALL, _LARGE = 1e-5, 1e7
 
 
 def written(value: float, digits: int) -> str:
-    """Return a number with so many significant digits, its thousands apart: 2,620 for 2619.7."""
+    """Return a number with some significant digits and separated thousands: 2,620 for 2619.7."""
     if not _SMALL <= abs(value) < _LARGE:  # none of 0, and of what is not finite
         return f"{value:.{digits}g}"
     places = digits - 1 - math.floor(math.log10(abs(value)))

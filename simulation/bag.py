@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulated recordings as bags, with the truth inside and the identifier's parameters beside."""
+"""Simulated recordings as bags, with the truth inside and the identifier's parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PARAMETER_FILE = "identifier.yaml"
 
 _JOINT = "probe"
 _NS_PER_S = 1_000_000_000
-# By the message of a stream: its type, and the field that the sample goes to.
+# By the message of a stream: its type, and the field of the sample.
 _FORCE = {
     "wrench": ("geometry_msgs/msg/WrenchStamped", "wrench.force"),
     "joint_state": ("sensor_msgs/msg/JointState", "effort"),
@@ -109,9 +109,9 @@ def _message_of(stream: Stream, *, is_force: bool) -> tuple[str, str]:
 
 
 def _maker(stream: Stream, type_name: str, field: str) -> Callable[[int], Any]:
-    """Return what makes the message of a sample.
+    """Return the function that makes the message of a sample.
 
-    It fills one message again and again: that is serialised before the next is asked for.
+    It reuses one message, so that must be serialised before the next call.
     """
     message = message_class(type_name)()
     message.header.frame_id = stream.frame_id

@@ -84,10 +84,10 @@ class Memory:
 
 @dataclass(frozen=True)
 class Stiffening:
-    """Another tissue from where on the probe is so deep."""
+    """Another tissue below some depth."""
 
     strain: float  #: Where it begins
-    ratio: float  #: How many times G is what it was before, at least 1
+    ratio: float  #: Of G to its value above, at least 1
 
     def __post_init__(self) -> None:
         if not (self.strain > 0.0 and self.ratio >= 1.0):
@@ -97,7 +97,7 @@ class Stiffening:
             )
 
     def stress(self, moves: Sequence[Move], times: FloatArray, model: FdenModel) -> FloatArray:
-        """Return what it adds to the stress at `times` of a contact's motion."""
+        """Return its part of the stress at `times` of a contact's motion."""
         added = np.zeros_like(times)
         met = min((t for move in moves for t in move.crossings(self.strain)), default=np.inf)
         later = times > met
@@ -118,7 +118,7 @@ class Contact:
     stop: float
     moves: tuple[Move, ...]  #: The probe's motion in between
     memory: Memory  #: The stress of the contacts before this one
-    stiffening: Stiffening | None = None  #: What is met below the surface, if anything
+    stiffening: Stiffening | None = None  #: Below the surface, if any
 
     def stress(self, times: FloatArray, model: FdenModel) -> FloatArray:
         """Return the stress in Pa at `times` within the contact."""
@@ -161,7 +161,7 @@ def contacts_of_moves(
     """Follow a probe over fresh tissue at rest and return the contacts it makes.
 
     The strain of consecutive `moves` is negative above the undisturbed surface; every contact is
-    taken to begin above the `stiffening`.
+    assumed to begin above the `stiffening`.
     """
     contacts: list[Contact] = []
     memory = Memory()
@@ -225,7 +225,7 @@ def _scan(piece: Piece) -> FloatArray:
 def _root(
     function: Callable[[FloatArray], FloatArray], low: float, high: float, *, fallback_low: bool
 ) -> float:
-    """Return where `function` changes its sign; an end of the interval if rounding hides it."""
+    """Return the sign change of `function`; an end of the interval if rounding hides it."""
 
     def at(time: float) -> float:
         return float(function(np.array([time]))[0])

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a real rig adds to a recording: motion of the surface, friction, creep, hum and the like.
+"""Disturbances of a real rig: motion of the surface, friction, creep, hum and the like.
 
 Disturbances of the motion change the strain that the tissue sees, so the force follows from the
 law along the disturbed path (:mod:`simulation.stepped_contact`); those of the force and
@@ -80,14 +80,14 @@ class Phases:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """All that disturbs a rig; the defaults are a rig that nothing disturbs."""
+    """All disturbances of a rig; by default there are none."""
 
     #: Motion of the tissue's surface along the approach axis; 0.25 and 1.2 Hz by default
     breathing: SurfaceMotion = field(default_factory=SurfaceMotion)
     heartbeat: SurfaceMotion = field(default_factory=_heartbeat)
-    #: How much the tool gives way per force, between the place that is reported and the tip
+    #: Compliance of the tool, between the reported place and the tip
     compliance_m_per_n: float = 0.0
-    #: Play of the drive: so far the reported place moves on a reversal before the tip follows
+    #: Play of the drive: on a reversal the reported place moves this far before the tip follows
     backlash_m: float = 0.0
     plastic_set_m: float = 0.0  #: How much lower the surface at rest lies after each press
     #: Force against the motion on the tool in contact, that the sensor sees; none at rest
@@ -134,7 +134,7 @@ class Disturbances:
 
     @property
     def moves_tissue(self) -> bool:
-        """Whether the tissue sees another motion than the planned one."""
+        """Whether the motion in the tissue differs from the planned one."""
         return any(
             (
                 self.breathing.peak_to_peak_m,
@@ -146,7 +146,7 @@ class Disturbances:
         )
 
     def surface(self, times: ArrayLike, phases: Phases) -> FloatArray:
-        """Return how far breathing and heartbeat hold the surface from the probe, in m."""
+        """Return the shift of the surface away from the probe by breathing and heartbeat, in m."""
         instants = np.asarray(times, dtype=float)
         return self.breathing.height(
             instants, phases.breathing, phases.breathing_rate
@@ -220,8 +220,8 @@ def quantised(values: FloatArray, step: float) -> FloatArray:
 def with_backlash(places: FloatArray, width: float) -> FloatArray:
     """Return the tip's place (n,) behind a drive whose play is `width`.
 
-    While the drive pushes on, the tip is where the drive is; on a reversal it stays until the
-    play is taken up.
+    While the drive pushes on, the tip follows it; on a reversal it stays until the play is
+    used up.
     """
     if width == 0.0 or places.size == 0:
         return places

@@ -3,9 +3,9 @@
 
 """A rigid sphere on an elastic layer, by boundary elements: the truth that shares no formula.
 
-The pressure is constant on rings. What a ring does to the surface is the closed form of a
-half-space, and for the layer a Hankel integral over what differs. That comes of Love's function,
-whose four constants a wave the base and the surface give.
+The pressure is constant on rings. The effect of a ring on the surface is the closed form of a
+half-space, plus a Hankel integral over the difference for the layer. That follows from Love's
+function, whose four constants are set by the base and the surface.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _CONTACTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.1, 1.5, 2.0, 2.6, 3.3)
 
 
 class Stiffening(NamedTuple):
-    """By how much a layer stiffens the contact."""
+    """The factor by which a layer stiffens the contact."""
 
     #: sqrt(R d) / h [1], increasing, shape (n,).
     ratios: FloatArray
@@ -76,7 +76,7 @@ def _half_space(radius: FloatArray, disc: FloatArray) -> FloatArray:
 
 
 def _sink(height: float, poisson_ratio: float, *, is_bonded: bool) -> float:
-    """Return how far a layer of so many wave numbers sinks under a wave, over a half-space."""
+    """Return how far a layer sinks under a wave of each number, relative to a half-space."""
     base = _of_love(0.0, poisson_ratio)
     top = _of_love(height, poisson_ratio)
     held = base["along"] if is_bonded else base["shear"]

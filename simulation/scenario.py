@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scenarios: what is pressed, how, and what the sensors make of it; YAML to frozen dataclasses.
+"""Scenarios: tissue, presses and sensors; from YAML to frozen dataclasses.
 
 The files in ``bags/`` show the format. Every key is a field of one of the dataclasses below, in SI
 units; a key that is missing takes the field's default. Values are checked when a dataclass is
@@ -89,7 +89,7 @@ class Tissue:
     linear_stiffness: float | None = None  #: G in Pa·s^alpha
     nonlinear_stiffness: float | None = None  #: Gn
     fractional_order: float | None = None  #: alpha
-    #: Name of the tissue whose distribution gives what is not given: ``liver`` (Table II)
+    #: Name of the tissue whose distribution gives the other parameters: ``liver`` (Table II)
     draw: str | None = None
 
     def __post_init__(self) -> None:
@@ -123,7 +123,7 @@ class Geometry:
     radius_m: float | None = None
     #: Thickness of the tissue under a flat punch, or a sphere; None: a half-space
     thickness_m: float | None = None
-    bonded: bool = True  #: The base holds the layer under a sphere; else it slips
+    bonded: bool = True  #: The base holds the layer under a sphere; otherwise it slips
 
     def __post_init__(self) -> None:
         require_choice("geometry: kind", self.kind, ("flat_punch", "sphere", "pass_through"))
@@ -159,7 +159,7 @@ class Geometry:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters of the identifier that state it."""
+        """Parameters of the identifier for this geometry."""
         stated: dict[str, Any] = {"geometry.kind": self.kind}
         if self.kind == "flat_punch":
             stated |= {"geometry.area": self.force_per_stress, "geometry.thickness": self.length_m}
@@ -173,7 +173,7 @@ class Geometry:
 
     @functools.cached_property
     def _layer(self) -> tuple[FloatArray, FloatArray]:
-        """Depths into the layer, and into a half-space that presses as much, in radii."""
+        """Depths into the layer, and into a half-space of the same force, in radii."""
         layer = stiffening(0.5, is_bonded=self.bonded)
         ratio = self.length_m / (self.thickness_m or math.inf)
         places = np.linspace(0.0, layer.ratios[-1], 20_000)
@@ -213,7 +213,7 @@ class Preload:
 
 @dataclass(frozen=True)
 class ForceSensor:
-    """What the force stream looks like."""
+    """The force stream."""
 
     rate_hz: float = 1000.0  #: Sampling rate
     #: Standard deviation of white noise per sample, as a stress or as a force: one of the two,
@@ -250,14 +250,14 @@ class DisplacementSensor:
     rate_hz: float = 1000.0
     noise_m: float = 0.0  #: Standard deviation of white noise per sample and coordinate
     jitter_s: float = 0.0
-    delay_s: float = 0.0  #: How much later than the truth the samples are stamped
+    delay_s: float = 0.0  #: Delay of the samples' stamps behind the truth
     #: Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform``
     #: or ``point`` (`axis` points into the tissue)
     topic: str = "/displacement"
     message: str = "joint_state"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tissue"
-    surface_m: float = 0.0  #: What it reads at the undisturbed surface
+    surface_m: float = 0.0  #: Reading at the undisturbed surface
 
     def __post_init__(self) -> None:
         require_positive(self, "rate_hz")
@@ -296,7 +296,7 @@ class Slide:
         require_positive(self, "ratio", "edge_m")
 
     def stiffness_ratio(self, gone: FloatArray, start_m: tuple[float, float]) -> FloatArray:
-        """Return how many times stiffer it is where so much of the path from `start_m` is gone."""
+        """Return the stiffness ratio at this part of the path from `start_m`."""
         edge = self.edge_m / max(math.dist(start_m, self.to_m), self.edge_m)
         inner = np.clip((1.0 / 6.0 - np.abs(gone - 0.5)) / edge + 0.5, 0.0, 1.0)
         ratio: FloatArray = 1.0 + (self.ratio - 1.0) * inner
@@ -305,7 +305,7 @@ class Slide:
 
 @dataclass(frozen=True)
 class Site:
-    """One place on the tissue and what is done there."""
+    """One place on the tissue and its presses."""
 
     tissue: Tissue  #: Its parameters
     presses: tuple[Press, ...]  #: One or more presses, one after the other; the tissue remembers
@@ -466,7 +466,7 @@ T = TypeVar("T")
 
 
 def _build(cls: type[T], data: object, where: str) -> T:
-    """Make a dataclass of a mapping, refusing what it does not know and naming what it lacks."""
+    """Make a dataclass of a mapping, refusing unknown keys and naming missing ones."""
     mapping = _mapping(data, where)
     hints = typing.get_type_hints(cls)
     known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
@@ -499,7 +499,7 @@ def _convert(value: object, hint: Any, where: str) -> Any:
         return _number(value, where)
     if hint not in (bool, int, str):
         return _build(hint, value, where.rpartition(": ")[2])
-    # A bool is an int, too, and not meant by one.
+    # A bool is an int, too, but not meant as one.
     if type(value) is hint:
         return value
     words = {bool: "true or false", int: "a whole number", str: "text"}[hint]

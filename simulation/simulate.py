@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""From a scenario to what the sensors would have recorded, with the truth beside it."""
+"""From a scenario to the sensors' recordings, with the truth."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ START_NS = 1_700_000_000 * 10**9
 END_PAUSE_S = 0.5
 _MAX_JITTER_PERIODS = 0.45
 
-# One generator a purpose: what one of them draws never changes the others.
+# One generator a purpose: the draws of one never change the others.
 _TISSUE_DRAWS, _FORCE_DRAWS, _DISPLACEMENT_DRAWS, _PHASE_DRAWS = range(4)
 
 
@@ -99,7 +99,7 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
     return Recording(force, displacement, _truth(scenario, seed, visits))
 
 
-#: The identifier's parameters where model and rig leave nothing out, as in `config/bench.yaml`:
+#: The identifier's parameters for an exact model and rig, as in `config/bench.yaml`:
 #: the simulated tissue obeys the law, and the simulated rig is rigid.
 EXACT: dict[str, Any] = {
     "model_discrepancy.sd": 0.0,
@@ -338,7 +338,7 @@ def _site_truth(number: int, visit: _Visit) -> dict[str, Any]:
     model, site = visit.contacts.model, visit.site
     truth = {
         "site": number,
-        # At the end of the contact, which is what an estimate is held against.
+        # At the end of the contact, for a comparison with the estimate.
         "linear_stiffness": model.linear_stiffness
         * (site.stiffening.ratio if site.stiffening else 1.0),
         "nonlinear_stiffness": model.nonlinear_stiffness,

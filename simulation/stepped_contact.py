@@ -3,8 +3,8 @@
 
 r"""Contacts of a probe whose motion in the tissue is not the planned one, step by step.
 
-The surface moves, the tool gives way under the very force that the tissue answers with, the drive
-has play, and each press leaves a dent. The strain that the tissue sees is
+The surface moves, the tool yields under the tissue's force, the drive
+has play, and each press leaves a dent. The strain of the tissue is
 
 .. math:: x = \mathrm{strain}(u_{tip} - c\\,f - s(t) - p) ,
 

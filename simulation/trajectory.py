@@ -3,8 +3,8 @@
 
 """Motions of a probe: through the air to the surface, into the tissue and out again.
 
-A trajectory describes what happens in the tissue (a ramp, a hold, a sine); :class:`Approach` what
-happens in the air. Together they give one list of moves in units of strain, negative above the
+A trajectory describes the motion in the tissue (a ramp, a hold, a sine); :class:`Approach` that
+in the air. Together they give one list of moves in units of strain, negative above the
 undisturbed surface.
 """
 
@@ -40,7 +40,7 @@ def _require(
 
 
 class Path:
-    """A motion under construction: where the probe is, and the moves that brought it there.
+    """A motion under construction: the probe's place, and its moves so far.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Approach:
             )
 
     def descend(self, path: Path) -> None:
-        """Bring the probe to where the press begins, unless it is nearer already."""
+        """Bring the probe to the start of the press, unless it is nearer already."""
         near = -self.slow_distance_m / path.length_m
         if path.strain < near:
             path.go(near, self.speed_m_per_s / path.length_m)
@@ -120,17 +120,17 @@ class Approach:
     def retract(
         self, path: Path, strain_rate: float | None, height_m: float | None = None
     ) -> None:
-        """Take the probe back into the air."""
+        """Return the probe to the air."""
         rate = self.retract_speed_m_per_s / path.length_m if strain_rate is None else strain_rate
         path.go(-(self.distance_m if height_m is None else height_m) / path.length_m, rate)
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What every kind of press has: it comes from the air, presses, and goes back.
+    """The common part of all presses: the probe comes from the air, presses, and returns.
 
-    Its fields are positive but for those of `may_be_zero`; `strain_rate` is that of the way in,
-    in 1/s.
+    Its fields are positive but for those of `may_be_zero`; `strain_rate` is that of the
+    indentation, in 1/s.
     """
 
     kind: ClassVar[str]
@@ -138,7 +138,7 @@ class Trajectory:
 
     @property
     def retract_rate(self) -> float | None:
-        """Rate of strain on the way out in 1/s; None: by the approach's retract speed."""
+        """Rate of strain of the retract in 1/s; None: by the approach's retract speed."""
         raise NotImplementedError
 
     def __post_init__(self) -> None:
@@ -153,7 +153,7 @@ class Trajectory:
         approach.retract(path, self.retract_rate)
 
     def go(self, path: Path, approach: Approach) -> None:
-        """Append what happens between the way down and the way back."""
+        """Append the motion between indentation and retract."""
         raise NotImplementedError
 
 

@@ -183,9 +183,11 @@ def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path
     (table,) = benchmark(capsys, tmp_path, *own).values()
     row = table["FDEN"]
     # A spring is a plateau too: where that is likelier, the law's N/m is withheld.
-    assert row["given"][0] >= 1 and row["given"][1] == 3
-    assert abs(row["ratio, median"] - 1.0) < 0.1 and row["error, 90 %"] < 20.0
-    assert {"Kelvin-Voigt", "Hunt-Crossley", "force over depth"} < set(table)
+    assert row["given"][1] == 3
+    assert row["given"][0] == 0 or abs(row["ratio, median"] - 1.0) < 0.1
+    assert table["Kelvin-Voigt"]["given"] == [3, 3]
+    assert abs(table["Kelvin-Voigt"]["ratio, median"] - 1.0) < 0.1
+    assert {"Hunt-Crossley", "force over depth"} < set(table)
 
 
 @pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))

@@ -64,7 +64,7 @@ REFUSALS = [
     ("replay {pose} -o {pose} --force", 1, "the recording itself"),
     ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "no push"),
     ("replay {pose} --from-touch", 1, "is no table: --from-touch is for tables"),
-    ("replay {pose} --diameter 50furlong", 2, "is no size"),
+    ("replay {pose} --diameter 50furlong", 2, "is not a size"),
     ("replay {pose} --diameter 5mm --area 1mm2", 2, "not allowed with"),
     ("replay http://127.0.0.1:1/press.mcap", 1, "http://127.0.0.1:1/press.mcap cannot be reached"),
 ]

@@ -294,7 +294,7 @@ def test_stamps_that_jump_far_ahead_and_back_are_followed(live):
     [
         (WrenchStamped, ReliabilityPolicy.RELIABLE, "2 publishers"),
         (JointState, ReliabilityPolicy.RELIABLE, "expected geometry_msgs/msg/WrenchStamped"),
-        (WrenchStamped, ReliabilityPolicy.BEST_EFFORT, "best_effort where reliable is requested"),
+        (WrenchStamped, ReliabilityPolicy.BEST_EFFORT, "best_effort but reliable is requested"),
     ],
 )
 def test_another_publisher_that_does_not_fit_is_said(live, kind, reliability, words):

@@ -116,7 +116,7 @@ def shown(view: MonitorView) -> str:
 
 
 def test_the_monitor_shows_what_is_known_and_what_is_not():
-    assert "nothing heard yet" in shown(MonitorView("/identifier"))
+    assert "nothing received yet" in shown(MonitorView("/identifier"))
     state = TissueState(
         stamp_ns=0,
         status=Status.CONVERGED,

@@ -144,8 +144,8 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
     ),
     "mixed list": (
         any_node("force.axis: [0, 0.5, -1]"),
-        "parameter force.axis is [0, 0.5, -1], which ROS 2 does not read, because whole numbers "
-        "and others, or other types, are mixed: write [0.0, 0.5, -1.0]",
+        "parameter force.axis is [0, 0.5, -1], which ROS 2 cannot read, because it mixes whole "
+        "numbers and others, or other types: write [0.0, 0.5, -1.0]",
     ),
     "no value": (any_node("geometry.area: "), "parameter geometry.area has no value"),
     "no mapping ros__parameters": ("geometry.area: 2.0e-4\n", NO_KEY),

@@ -72,7 +72,7 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     assert printed.err == ""
     words = " ".join(printed.out.split())
     assert "N/m known" in words
-    assert words.split("contact 2: ")[1].startswith("N/m is known; G and Gn are not: ")
+    assert words.split("contact 2: ")[1].startswith("N/m is known; G and Gn are not known: ")
     row = next(line for line in printed.out.splitlines() if line.startswith("2 "))
     assert row.split()[2].startswith(("(", "–"))
     found = answer(capsys, "replay", table, "--config", config)["contacts"][1]

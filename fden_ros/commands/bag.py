@@ -13,14 +13,14 @@ from fden_ros.errors import InputError
 
 DESCRIPTION = """\
 Simulate a palpation and write it as a rosbag2 folder (MCAP), which `ros2 bag play`, Foxglove and
-PlotJuggler read too. The truth travels inside, as JSON on the latched topic /simulation/truth; a
-parameter file for the identifier, identifier.yaml, lies in the folder. The simulation is not
-installed: this works from a checkout.
+PlotJuggler read too. The bag holds the truth, as JSON on the latched topic /simulation/truth.
+The folder holds a parameter file for the identifier, identifier.yaml. The simulation is not
+installed: this needs a checkout.
 """
 
 EPILOG = """\
 examples:
-  fden bag --list                       what scenarios there are
+  fden bag --list                       list the scenarios
   fden bag ramp -o ramp_bag             three sites, pressed once each
   fden bag ramp -o ramp_bag --seed 7 --force
                                         other tissue and noise, replacing the bag

@@ -12,9 +12,10 @@ import sys
 from fden_ros.commands.inputs import parameters_of, selection_of
 
 DESCRIPTION = """\
-Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
-table (CSV), a row a contact. One that cannot be used, or a place without any, is a row with its
-error. What is in the table is not done again; one of other parameters is refused.
+Identify all recordings of an archive, bags of every kind and tables, several at once. Write a
+table (CSV) with one row per contact. A recording that cannot be used, or a place without any,
+gives a row with its error. Recordings in the table are not done again; a table made with
+other parameters is refused.
 """
 
 EPILOG = """\
@@ -23,12 +24,12 @@ examples:
   fden batch 'archive/2026-*/*.mcap' --config probe.yaml -o results.csv --workers 8
   fden batch s3://lab/day/ --config probe.yaml -o results.parquet --scheduler tcp://host:8786
 
-Interrupted (Ctrl-C), it goes on from there the next time.
+After an interruption (Ctrl-C) the same command continues.
 """
 
 #: What its exit codes say next to those of all commands.
 EXIT_CODES = {
-    0: "done (a broken bag is a row, and no contact is none)",
+    0: "done (a broken bag gives a row with its error)",
     1: "nothing could be done",
 }
 
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             count_done = len(bags) - len(left) + done
             _say(
                 f"interrupted: {args.output} has {count_done} of {len(bags)} bags; the same "
-                "command does the others"
+                "command continues"
             )
             raise
         finally:

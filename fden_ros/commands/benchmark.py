@@ -14,23 +14,23 @@ from fden_ros.commands.command import Parser
 from fden_ros.commands.options import JSON, add_options
 
 DESCRIPTION = """\
-Measure how good the package is, and hold the figures against their goals. Each benchmark prints
-tables and leaves its figures in the output folder: NAME.json. They are not installed: this works
-from a checkout.
+Measure how good the package is, and compare the figures with their goals. Each benchmark prints
+tables and writes its figures to NAME.json in the output folder. Benchmarks are not installed:
+this needs a checkout.
 """
 
 EPILOG = """\
 examples:
-  fden benchmark robots --quick             a minute or two; may answer undecided
+  fden benchmark robots --quick             a minute or two; goals may stay undecided
   fden benchmark robots -o results          the whole of it
   fden benchmark robots --quick --json | jq '.goals[] | select(.met == false)'
   fden benchmark robots --help              arguments of this benchmark
 
-A goal is met, missed, or undecided where the run was too short.
+A goal is met, missed, or undecided if the run was too short.
 """
 
 #: What its exit codes say next to those of all commands.
-EXIT_CODES = {0: "measured, whatever came out"}
+EXIT_CODES = {0: "measured, whether the goals are met or not"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
         one.benchmark = name
         one.set_defaults(parser=one)
-        words = "less than a minute or two; goals may stay undecided"
+        words = "at most a minute or two; goals may stay undecided"
         one.add_argument("--quick", action="store_true", help=words)
         add_options(one, [JSON])
         words = f"folder of {name}.json (default: results)"

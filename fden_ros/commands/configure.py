@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from fden_ros.configure.survey import Survey
 
 DESCRIPTION = """\
-Find out from a recording: axes and signs, units, rates, noise, bias, drift, the delay between
-force and displacement, the compliance and the weight of the tool. Each finding has its standard
-deviation. What the recording cannot show is listed, with the motion that would show it. The
-parameter file that comes out is commented.
+Find from a recording: axes and signs, units, rates, noise, bias, drift, the delay between force
+and displacement, the compliance and the weight of the tool. Each finding has its standard
+deviation. The command lists what the recording cannot show, with the motion that would show it,
+and writes a commented parameter file.
 """
 
 EPILOG = """\
@@ -36,11 +36,11 @@ examples:
 
 A recording that shows everything has 2 s in the air, and the tool turned through three
 orientations. Then press a rigid plate twice, and tissue three times with a hold of 2 s. Then move
-by a sine of 0.5 mm in tissue at 1 and 4 Hz. No recording shows the indenter: state it. A table of
-a robot by name (--robot ur) has the headings of its recorder.
+by a sine of 0.5 mm in tissue at 1 and 4 Hz. No recording shows the indenter: state it. With
+--robot ur a table needs the headings of the robot's recorder.
 """
 
-#: What its exit codes say beside those of all commands.
+#: Exit codes in addition to those of all commands.
 EXIT_CODES = {0: "a file was proposed"}
 
 
@@ -98,7 +98,7 @@ def _check(args: argparse.Namespace) -> None:
     """Refuse arguments that do not go together."""
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     for is_wrong, words in (
-        (unknown, f"--rigid {' '.join(unknown)} is none of the recordings"),
+        (unknown, f"--rigid {' '.join(unknown)} is not one of the recordings"),
         (
             args.sphere is not None and args.flat_punch is not None,
             "--sphere and --flat-punch exclude each other",
@@ -150,7 +150,7 @@ def _read(args: argparse.Namespace, robot: Robot | None) -> tuple[list[Reading],
         kinds = {(r.streams.force.shape[1], r.streams.position.shape[1]) for r in readings}
         if len(kinds) > 1:
             raise InputError(
-                f"{path} is of another kind than {readings[0].path}: recordings of one "
+                f"{path} is of a different kind from {readings[0].path}: recordings of one "
                 "rig have the same types"
             )
     return readings, survey(
@@ -186,12 +186,12 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
             console.print(escape(line))
         if missing:
             names = ", ".join(finding.subject for finding in missing)
-            console.print(f"cannot tell: {names}; the file says what would")
+            console.print(f"not found: {names}; the file says what would show each")
         return
     rows = ((one.subject, escape(value_text(one)), escape(one.evidence)) for one in stated)
     console.print(table_of({"found": 20, "": 1, "by": 1}, rows))
     for one in missing:
-        console.print(f"cannot tell {one.subject} ({escape(one.evidence)}): {one.motion}")
+        console.print(f"not found: {one.subject} ({escape(one.evidence)}): {one.motion}")
 
 
 def _brief_lines(stated: Sequence[Finding]) -> list[str]:

@@ -55,7 +55,7 @@ def selection_of(args: argparse.Namespace) -> Any:
     from fden_ros.recording.source import Selection
 
     if args.stamps is not None and args.columns is not None:
-        args.parser.error("--stamps is for bags: the first of --columns is a table's time")
+        args.parser.error("--stamps is for bags: in a table the first of --columns is the time")
     _take_from_files(args)
     topics, fields = (
         {name: value for name in STREAMS if (value := getattr(args, f"{name}_{part}"))}

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
     path = args.parameters or shipped("config/tissue_simulator.yaml")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such parameter file; give one by --parameters")
+        raise InputError(f"{path}: there is no such parameter file; give one with --parameters")
     settings = {
         "tissue_simulator": "use_sim_time:=false",
         "identifier": "autostart:=true",

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from fden_ros.report.monitor import MonitorView
 
 DESCRIPTION = """\
-Show what a running identifier says: rates, status, contact, G, Gn and alpha with intervals of two
-standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it. Where
-the output is no terminal it prints a line a second.
+Show the state of a running identifier: rates, status, contact, G, Gn and alpha with intervals of
+two standard deviations, the classification, the last contacts, and its warnings. Ctrl-C ends it.
+If the output is not a terminal, it prints one line per second.
 """
 
 EPILOG = """\

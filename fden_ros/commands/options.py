@@ -97,7 +97,9 @@ def _size(text: str, quantity: str = "displacement") -> float:
     if size > 0.0:
         return size
     examples = "1963mm2, or 1.963e-3 in m^2" if quantity == "area" else "50mm, or 0.05 in m"
-    raise InputError(f"{text!r} is no size: expected a number with its unit, such as {examples}")
+    raise InputError(
+        f"{text!r} is not a size: expected a number with its unit, such as {examples}"
+    )
 
 
 def _area(text: str) -> float:
@@ -131,7 +133,7 @@ CONFIG = (
 )
 #: Where in a recording force and displacement are.
 SELECTION = Group(
-    "what is force, what is displacement (found where it can be)",
+    "force and displacement (found automatically if possible)",
     (
         *(_option(f"--{one}-topic", f"topic of the {one}", metavar="T") for one in STREAMS),
         *(
@@ -153,13 +155,13 @@ SELECTION = Group(
             "--columns",
             "headings or numbers of a table's columns: time, force, displacement, each with an "
             "optional factor to s, N and m, as time_s,force_N,depth_mm*1e-3. @500 as time: rows "
-            "at 500 Hz. Not needed where headings name them with their units",
+            "at 500 Hz. Not needed if headings name them with their units",
             _argument(_columns),
             "T,F,D",
         ),
         _option(
             "--rows",
-            "only the rows with this text in this column",
+            "use only the rows with this text in this column",
             _pair("=", "COLUMN=TEXT"),
             "COLUMN=TEXT",
         ),
@@ -174,7 +176,7 @@ _MACHINE = Group(
     (
         _option(
             "--from-touch",
-            "it begins at the touch or at a preload, tared, without air; the rig is rigid "
+            "the table begins at the touch or at a preload, tared, without air; the rig is rigid "
             "(config/bench.yaml)",
             action=argparse.BooleanOptionalAction,
         ),

@@ -12,8 +12,8 @@ from fden_ros.parameters import PARAMETERS, Value
 
 DESCRIPTION = """\
 Print a parameter file with every parameter of the identifier at its default, each explained.
-Keep what differs for your probe, and give it to the node (--params-file) or to `fden replay
---config`.
+Keep the values that differ for your probe, and pass the file to the node (--params-file) or
+to `fden replay --config`.
 """
 
 EPILOG = """\

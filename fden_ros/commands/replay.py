@@ -25,7 +25,7 @@ _NOTHING_IDENTIFIED = 3
 DESCRIPTION = """\
 Run the identification on a recording, without DDS: the same pipeline as the live node, so the
 numbers are the same to the last bit. Prints a table, or with --json one object on standard output.
-With -o it writes a bag of all that the node would have published.
+With -o it writes a bag of everything that the node would have published.
 """
 
 EPILOG = """\
@@ -88,9 +88,9 @@ def _shown(result: Replay, as_json: bool) -> int:
     _show(result, lacking, as_json)
     if result.has_identified:
         return 0
-    why = "no contact is converged"
+    why = "no contact has converged"
     if parameters.core.is_continuous:
-        why = "no stiffness along the path, which takes a probe that palpates as it slides"
+        why = "no stiffness along the path: the probe must oscillate while it slides"
     elif result.has_strokes:
         why = next(words for words in result.warnings if REMEDY in words)
     elif result.warnings and (
@@ -118,7 +118,7 @@ def _lacking(result: Replay, parameters: Parameters) -> list[str]:
     for summary in result.summaries:
         words = shortfall(summary, config)
         if summary.contact_id in result.with_stiffness_alone:
-            words = f"{known_alone(summary)} is known; G and Gn are not: " + (
+            words = f"{known_alone(summary)} is known; G and Gn are not known: " + (
                 words or against_the_law(summary)
             )
         if words:
@@ -145,7 +145,7 @@ def _show(result: Replay, lacking: list[str], as_json: bool) -> None:
     else:
         console.print(contact_table(result.summaries, result.with_stiffness_alone))
     if unseen := result.measured_unseen.loading:
-        console.print(f"no contact, but a slope: {slope_words(unseen)}")
+        console.print(f"no contact, but a measured slope: {slope_words(unseen)}")
     used = ", ".join(f"{stream} from {name}" for stream, name in result.inputs.items())
     console.print(
         f"{result.samples:,} samples, {sum(result.rejected.values()):,} rejected; {escape(used)}"

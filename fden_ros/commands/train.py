@@ -13,7 +13,7 @@ from fden_ros.errors import InputError
 
 DESCRIPTION = """\
 Learn a tissue library: mean and covariance of (ln G, ln Gn, alpha) by class, without the stated
-error of each contact. TISSUE=TABLE names a table of fden batch (CSV), all of whose contacts are of
+error of each contact. TISSUE=TABLE names a table of fden batch (CSV) whose contacts are all on
 this tissue. Contacts that have not converged are left out.
 """
 
@@ -24,7 +24,7 @@ examples:
   fden train liver=liver.csv muscle=muscle.csv --config probe.yaml -o library.yaml
 then: fden replay BAG --config probe.yaml, with classifier.library: library.yaml in it
 
-The prior of the estimator is in every estimate: make that of --config wide.
+Every estimate contains the estimator's prior: make the prior of --config wide.
 """
 
 

@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What recordings show of a probe nobody has configured, and a parameter file of it."""
+"""Findings of recordings about an unconfigured probe, and a parameter file of them."""

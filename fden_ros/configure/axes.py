@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Axis and sign of force and displacement: where the force of a contact points, and the motion."""
+"""Axis and sign of force and displacement: the directions of a contact's force and motion."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from fden_ros.configure.session import DRIFT_PART, Contact, Lines, Session, chan
 from fden_ros.configure.signs import LEAST_RATIO
 from fden_ros.core.arrays import Array
 
-#: An axis is claimed from a standard deviation of its direction of this size on [rad]: 5 degrees,
+#: An axis is claimed up to this standard deviation of its direction [rad]: 5 degrees,
 #: 0.4 % of force or depth, are then 2.45 deviations, the 95 % of an error in two directions.
 LARGEST_SD = math.radians(5.0) / 2.45
-#: Force and motion of a contact are compared by their changes over this part of it, and go
+#: Force and motion of a contact are compared by their changes over this part of it, and belong
 #: together from this correlation on.
 _CHANGES, _TOGETHER = 20, 0.5
-#: A single contact shows by its quarters how far its direction holds.
+#: The quarters of a single contact show the scatter of its direction.
 _QUARTERS = 4
 #: No drive runs straighter than this [m]: a short stroke shows no direction.
 _STRAIGHT = 5e-6
 
 
 class Axis(NamedTuple):
-    """A direction, how well it is known, and from what."""
+    """A direction, its uncertainty, and its source."""
 
     direction: Array  #: unit vector (3,), or a sign (1,)
     sd: float  #: of each of its two angles [rad]
@@ -95,7 +95,7 @@ def find_axes(sessions: Sequence[Session]) -> Axes:
 
 
 def _two_readings(lines: Lines) -> str:
-    """Say both readings in words, and how far they are from excluding each other."""
+    """Return both readings in words, and how far they are from excluding each other."""
     grows, into = (", ".join(f"{v:.2f}" for v in one) for one in (lines.grows, lines.into))
     return (
         f"two readings fit: the force grows along [{grows}] and the displacement along [{into}] "
@@ -127,8 +127,8 @@ def _force_parts(session: Session, contact: Contact, direction: Array) -> list[_
     for chunks in np.array_split(np.arange(contact.first, contact.last), _QUARTERS):
         quarter, drift = net[chunks], drifted[chunks]
         along = quarter @ direction
-        # The level in the air is wrong alike in all quarters, by the noise of two medians over
-        # 2 s and by the drift.
+        # The level in the air has the same error in all quarters: the noise of two medians over
+        # 2 s, and the drift.
         level = float(np.abs(along) @ np.hypot(0.28 * chunk, drift)) * math.sqrt(_QUARTERS)
         noise = math.hypot(chunk * float(np.linalg.norm(along)), level)
         parts.append(_Part(quarter.T @ along, noise))
@@ -136,7 +136,7 @@ def _force_parts(session: Session, contact: Contact, direction: Array) -> list[_
 
 
 def _drift_sd(session: Session, direction: Array) -> Array:
-    """Return how far the force's level may have drifted off since the nearest air (n,)."""
+    """Return how far the force's level may have drifted since the nearest air (n,)."""
     times, seen = session.times, session.times[session.air]
     if not seen.size:
         return np.zeros(times.size)
@@ -148,7 +148,7 @@ def _drift_sd(session: Session, direction: Array) -> Array:
 def _motion_axis(
     contacts: Sequence[tuple[Session, Contact]], lines: Lines, grows: Array, basis: str
 ) -> Axis | None:
-    """Return the direction of the motion that goes with the force, with the sign of `lines`."""
+    """Return the direction of the motion that follows the force, with the sign of `lines`."""
     if lines.into.size == 1:
         return Axis(lines.into, 0.0, basis)
     found = [_motion_parts(*one, grows) for one in contacts]
@@ -156,7 +156,7 @@ def _motion_axis(
     sizes = [sum(float(np.linalg.norm(part.vector)) for part in parts) for parts, _ in found]
     if axis is None or np.average([one for _, one in found], weights=sizes) < _TOGETHER:
         return None
-    # A drift may outdo the contact.
+    # A drift may exceed the contact.
     into = math.copysign(1.0, float(axis.direction @ lines.into)) * axis.direction
     stroke = max(float(np.ptp(s.position[c.span] @ into)) for s, c in contacts)
     return Axis(into, math.hypot(axis.sd, _STRAIGHT / max(stroke, 1e-300)), basis)
@@ -165,7 +165,7 @@ def _motion_axis(
 def _motion_parts(
     session: Session, contact: Contact, direction: Array
 ) -> tuple[list[_Part], float]:
-    """Return the motion that goes with the force, of each quarter of a contact, and how well."""
+    """Return the motion that follows the force, of each quarter of a contact, and how well."""
     span = contact.span
     push, position = session.net[span] @ direction, session.position[span]
     # Changes over a short time: in a hold the force relaxes without any motion.
@@ -195,7 +195,7 @@ def _combined(parts: Sequence[_Part], basis: str) -> Axis | None:
     scatter = math.sqrt(float(np.sum(across**2)) / 2.0) / length
     count = len(parts)
     if count > 1:
-        # Few contacts show their own scatter badly: Student's factor, two directions each.
+        # The scatter of few contacts is uncertain: Student's factor, two directions each.
         scatter *= math.sqrt(count / (count - 1))
         scatter *= float(student.ppf(0.975, 2 * (count - 1))) / 1.96
     noise = math.sqrt(sum(part.noise**2 for part in parts)) / length

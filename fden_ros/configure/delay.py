@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The delay between force and displacement, from what answers at once, or from bends of tissue.
+"""The delay between force and displacement, from an instant response, or from bends of tissue.
 
 A tool's weight turns with the poses at once, and a rigid plate answers at once: these show it to
 half a millisecond. Presses of tissue show it to some 7 ms: the elements of
@@ -34,27 +34,27 @@ from fden_ros.parameters import Value
 _LARGEST_SD = 5e-4
 #: Least deviation of a source, least and largest in the file [s]: to this the estimator is linear.
 _LEAST_SD, _FILE_SD, _MOST_FILE_SD = 2e-5, 1e-4, 0.01
-#: A delay of tissue or of a filter is written from so many deviations on; sources that are
-#: further apart than this many contradict each other.
+#: A delay of tissue or of a filter is written from this number of deviations on; sources
+#: contradict each other beyond the same number.
 _CLEAR, _APART = 3.0, 4.0
 #: Delays that are tried on tissue, and the steps between them near the best [s].
 _DELAYS, _STEP = np.arange(-0.14, 0.161, 0.02), 0.005
-#: A delay so far from the best [s] is excluded, or relaxation cannot be separated from it.
+#: A delay this far from the best [s] is excluded, or relaxation cannot be separated from it.
 _EXCLUDED = 0.04
 #: Times of relaxation [s], and knots of the depth.
 _RELAXATION, _KNOTS = (0.01, 0.05, 0.3, 2.0), 7
-#: Presses that are looked at, for so long each [s], and samples a second of it.
+#: Presses that are analysed, the length of each [s], and its samples per second.
 _PRESSES, _LONGEST, _RATE = 2, 8.0, 200.0
 #: Air before and after a press [s].
 _AIR = 0.5
-#: What a fit may leave: deviations of the noise, or a part of the force's range.
+#: Largest residual of a fit: deviations of the noise, or a part of the force's range.
 _MOST_NOISE, _MOST_PART = 3.0, 0.005
-#: What the relaxation of a power law over these elements moves the delay [s].
+#: Shift of the delay by the relaxation of a power law over these elements [s].
 _LAW_SD = 0.007
 
 
 class _Source(NamedTuple):
-    """What shows the delay, and the delay that it shows [s]."""
+    """A source of the delay, and its delay [s]."""
 
     name: str
     value: float
@@ -98,7 +98,7 @@ def delay_finding(
 
 
 def _stated(name: str, value: float, sd: float, least: float = _CLEAR) -> Finding:
-    """Return a delay; the default of 0 stays within so many deviations."""
+    """Return a delay; the default of 0 stays within this number of deviations."""
     if abs(value) < least * sd:
         return Finding("delay", value, sd, f"from {name}; within it the default of 0 stays")
     values: dict[str, Value] = {

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One thing that a recording shows of the probe, or does not, and all that it may be of."""
+"""A finding of a recording about the probe, or its absence, and the list of subjects."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TURN = (
 
 
 class Subject(NamedTuple):
-    """What a finding is of; empty where it has none."""
+    """The quantity of a finding; empty where it has none."""
 
     unit: str = ""  #: SI unit
     group: str = ""  #: of the parameters that it sets
@@ -65,7 +65,7 @@ SUBJECTS: Mapping[str, Subject] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found, how sure it is, and from what."""
+    """A value, its uncertainty, and its source."""
 
     subject: str  #: one of `SUBJECTS`
     value: Number | str | None = None  #: None where nothing is known
@@ -74,9 +74,9 @@ class Finding:
     evidence: str = ""  #: what shows it, in one line
     motion: str = ""  #: what to do so that the next recording shows it
     parameters: Mapping[str, Value] = field(default_factory=dict)  #: by dotted name
-    claim: bool = True  #: False: the recording cannot tell, and `motion` says what would
+    claim: bool = True  #: False: the recording does not show it, and `motion` would
     probability: float | None = None  #: of a sign, from the data
-    own_unit: str = ""  #: of value and deviation where it is the recording's own
+    own_unit: str = ""  #: of value and deviation in the recording's unit
 
     @property
     def unit(self) -> str:
@@ -91,6 +91,6 @@ def unknown(
     value: Number | None = None,
     deviation: float | None = None,
 ) -> Finding:
-    """Return the finding that the recording cannot tell; by default with the subject's motion."""
+    """Return the finding of a recording that does not show it, by default with its motion."""
     motion = motion or SUBJECTS[subject].motion
     return Finding(subject, value, deviation, evidence, motion, claim=False)

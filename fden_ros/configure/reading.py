@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A bag or a table as streams: what a replay reads, as whole vectors and with every joint."""
+"""A bag or a table as streams: the input of a replay, as whole vectors and with every joint."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fden_ros.recording.source import BagSource, Selection, open_source
 from fden_ros.recording.table import Columns, stated_columns
 from fden_ros.recording.text import layout_of
 
-#: Message types by the name that `force.message` and `displacement.message` have for them.
+#: Message types by their name in `force.message` and `displacement.message`.
 MESSAGES = {
     type_name: value
     for name in ("force", "displacement")
@@ -39,11 +39,11 @@ _LEAST_SAMPLES = 50
 
 
 class Reading(NamedTuple):
-    """A recording and where in it force and displacement were; mappings are by stream."""
+    """A recording with its sources of force and displacement; mappings are by stream."""
 
     path: Path
     streams: Streams
-    selection: Selection  #: with which a replay finds the same
+    selection: Selection  #: by which a replay reads the same
     inputs: Mapping[str, str]  #: topic or column
     types: Mapping[str, str]  #: of messages; empty for a table
     joints: Mapping[str, str]  #: names, where there are several
@@ -68,7 +68,7 @@ class _Vectors(Inputs):
         self.rejected[stream] += 1
 
     def add_force(self, frame_id: str, stamp: int, value: NumberOrVector | None) -> None:
-        """Keep a force."""
+        """Add a force."""
         self._keep("force", frame_id, stamp, value)
 
     def add_displacement(
@@ -78,12 +78,12 @@ class _Vectors(Inputs):
         value: NumberOrVector | None,
         orientation: Quaternion | None = None,
     ) -> None:
-        """Keep a number or a position."""
+        """Add a number or a position."""
         if self._keep("displacement", frame_id, stamp, value) and orientation is not None:
             self.turns.append(orientation)
 
     def _keep(self, name: str, frame_id: str, stamp: int, value: NumberOrVector | None) -> bool:
-        # A stamp of 0 marks data that are not valid, as with CRTK.
+        # A stamp of 0 marks invalid data, as with CRTK.
         is_kept = self._is_own_frame(name, frame_id) and value is not None and stamp != 0
         if is_kept:
             self.stamps[name].append(stamp)
@@ -106,7 +106,7 @@ class _Vectors(Inputs):
 
 
 def read(path: str | Path, selection: Selection | None = None) -> Reading:
-    """Read a recording, or raise :class:`InputError` where it is not clear what in it is what."""
+    """Read a recording, or raise :class:`InputError` where its sources are not clear."""
     chosen, found = selection or Selection(), _Vectors(check({}))
     source = open_source(path, check({}), replace(chosen, from_touch=False))
     with progress(f"reading {Path(path).name}", source.total) as show:
@@ -126,7 +126,7 @@ def read(path: str | Path, selection: Selection | None = None) -> Reading:
         units = _units_of(columns, is_found=chosen.columns is None)
     for name, stamps in found.stamps.items():
         if len(stamps) < _LEAST_SAMPLES:
-            # What is wrong with the stamps comes first: it is the reason, most likely.
+            # Problems of the stamps come first: they are the likeliest cause.
             least = f"{len(stamps)} usable samples: at least {_LEAST_SAMPLES} are needed"
             raise InputError("; ".join((*warnings, f"{path}: {inputs[name]} has {least}")))
     streams, joints = _moving_joints(_streams(str(path), found), found.joints)
@@ -134,7 +134,7 @@ def read(path: str | Path, selection: Selection | None = None) -> Reading:
 
 
 def _units_of(columns: Columns, *, is_found: bool) -> dict[str, Unit]:
-    """Return the units that factors or headings state; columns that were found have one."""
+    """Return the units of factors or headings; columns found by name have one."""
     units = {}
     for name, column in (("force", columns.force), ("displacement", columns.displacement)):
         factor = Heading(column.name).factor(name) if column.factor is None else column.factor
@@ -149,7 +149,7 @@ def _streams(name: str, found: _Vectors) -> Streams:
     force_times, kept = _times(force_stamps, first, np.isfinite(forces).all(axis=1))
     good, turns = np.isfinite(places).all(axis=1), np.array(found.turns).reshape(-1, 4)
     is_turn = np.abs(np.linalg.norm(turns, axis=1) - 1.0) < 0.01
-    # An orientation that was never set is none.
+    # An orientation that was never set does not count.
     has_turns = turns.shape[0] == stamps.size and bool(is_turn.mean() > 0.99)
     times, moved = _times(stamps, first, good & is_turn if has_turns else good)
     orientation = turns[moved] if has_turns else None
@@ -166,7 +166,7 @@ def _times(stamps: Any, first: int, good: Any) -> tuple[Array, Any]:
 def _moving_joints(
     streams: Streams, joints: Mapping[str, Sequence[str]]
 ) -> tuple[Streams, dict[str, str]]:
-    """Return the streams with that joint whose motion goes with the force."""
+    """Return the streams with the joint whose motion follows the force."""
     force, moved = joints["force"], joints["displacement"]
     if max(len(force), len(moved)) < 2:
         return streams, {}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses on something rigid, and the compliance in series with the tissue that they show."""
+"""Presses on something rigid, and the compliance that they show in series with the tissue."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from fden_ros.experiments.regression import linear
 #: Delays that are tried [s], and the steps of Gauss and Newton from the best of them.
 _DELAYS = np.linspace(-0.03, 0.08, 12)
 _STEPS = 4
-#: The part of a press that counts: above this part of its largest force.
+#: Only the part of a press above this part of its largest force counts.
 _LEAST_PUSH = 0.1
-#: The force is averaged over this time [s], and at least over 5 of its steps, so that reading it
-#: between samples adds no ripple.
+#: The force is averaged over this time [s], and at least over 5 of its steps, so that
+#: interpolation between samples adds no ripple.
 _SMOOTH, _SMOOTH_STEPS = 0.06, 5.0
 #: Fewer samples of a press make no line.
 _LEAST_SAMPLES = 15
-#: What a line may leave: 1.5 deviations of the noise, or 2 % of the stroke.
+#: Largest residual of a line: 1.5 deviations of the noise, or 2 % of the stroke.
 _MOST_NOISE, _MOST_PART = 1.5, 0.02
 #: The probe comes and leaves within this time [s], by more than 10 deviations of the noise, and
-#: the recording goes on around it for some chunks.
+#: the recording has some chunks before and after.
 _COMES, _CLEAR, _AROUND = 1.0, 10.0, 5
 #: A rigid press is this many times as stiff as the softest contact of the recordings.
 STIFFER = 3.0
-#: A compliance is stated as such up to this relative deviation: 10 % are then 2.5 deviations. The
-#: file has at least this one: a tool bends differently at other places.
+#: A compliance is claimed up to this relative deviation: 10 % are then 2.5 deviations. The file
+#: has at least this one: a tool bends differently at other places.
 _LARGEST_PART, _LEAST_PART = 0.04, 0.02
 
 
@@ -50,8 +50,8 @@ class Press(NamedTuple):
     compliance_sd: float
     delay: float  #: of the displacement behind the force [s]
     delay_sd: float
-    #: Whether the line is all there is (no relaxation, no bend, no loop), and the probe came,
-    #: pressed and left: a surface that comes to a probe at rest shows nothing of the tool.
+    #: Whether the line fits fully (no relaxation, no bend, no loop), and the probe came,
+    #: pressed and left: a surface that meets a probe at rest does not show the tool's compliance.
     is_rigid: bool
     stiffness: float  #: largest force over stroke [N/m]
 
@@ -101,7 +101,7 @@ def _press(session: Session, contact: Contact, grows: Array, into: Array) -> Pre
 
     delay = float(min(_DELAYS, key=misfit))
     for step in range(_STEPS):
-        # An average flattens bends, so the slope at last is that over the force as it is.
+        # An average flattens bends, so the final slope is that over the raw force.
         force = (grid, smooth) if step < _STEPS - 1 else (times, push)
         columns, motion = design(delay, force)
         if motion.size < _LEAST_SAMPLES:

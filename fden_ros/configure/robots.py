@@ -19,7 +19,7 @@ from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.source import Selection
 from fden_ros.shipped import shipped
 
-#: A found axis agrees with the convention within this cosine, or is its opposite.
+#: A found axis agrees with the convention, or is its opposite, within this cosine.
 _ALIKE = 0.9
 
 
@@ -54,7 +54,7 @@ def robot_named(name: str) -> Robot:
 
 
 def robot_selection(robot: Robot, present: Sequence[Topic], selection: Selection) -> Selection:
-    """Return the selection with the robot's topics where one is present; what is given stays."""
+    """Return the selection with the robot's topics where one is present; given ones stay."""
     names, fields = dict(selection.topics), dict(selection.fields)
     usable = [topic.name for topic in present if topic.message_count]
     for stream, patterns in robot.topics.items():
@@ -68,7 +68,7 @@ def robot_selection(robot: Robot, present: Sequence[Topic], selection: Selection
 
 
 def robot_notes(robot: Robot, survey: Survey) -> list[str]:
-    """Return how what was found goes with the robot's convention, a line each."""
+    """Compare the findings with the robot's convention, a line each."""
     finding, axis = survey.finding("force axis"), robot.axis
     if axis is None or not finding.claim or not isinstance(finding.value, tuple):
         return list(robot.notes)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the streams are by themselves and in the air: rate, noise, filter, bias, drift.
+"""Properties of the streams, alone and in the air: rate, noise, filter, bias, drift.
 
 Noise of a sensor is white up to its filter, so the spectrum at rest is that of the filter, over a
-floor of what comes after it. Whittle's likelihood compares filters of several kinds and times
-with noise that is white, or falls with a power of the frequency as a drift's does.
+floor of later noise. Whittle's likelihood compares filters of several kinds and times
+with noise that is white, or falls with a power of the frequency like that of a drift.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ from fden_ros.parameters import Value
 
 #: A gap is ten usual steps and at least this long [s].
 _GAP_STEPS, _GAP = 10.0, 0.02
-#: Values are in steps where no more than this part of them are different.
+#: Values are quantised where at most this part of them are different.
 _REPEATED = 0.5
 #: The rate that a contact of a second needs [Hz].
 _SLOW = 50.0
 #: Fewer samples at rest do not show the noise.
 _LEAST = 60
-#: The air that a bias rests on: the first stretch of at least this long, up to 5 s.
+#: The air for a bias: the first stretch of at least this length, up to 5 s.
 _LEAST_AIR, _MOST = 1.0, 5.0
-#: A drift is known from air that is spread over at least this time [s]; `force.drift_sd` stays at
-#: its default up to this one [N/s].
+#: A drift is known from air that covers at least this time [s]; up to this drift [N/s]
+#: `force.drift_sd` stays at its default.
 _SPREAD, _DEFAULT_DRIFT = 10.0, 0.005
 #: Length of the parts whose spectra are averaged [s], at least.
 _LENGTH, _LEAST_LENGTH = 2.0, 1.0
-#: Frequencies that count, as a part of the rate: beyond, sampling folds the spectrum.
+#: Frequencies that count, as a part of the rate: above, sampling folds the spectrum.
 _HIGHEST = 0.3
 #: Floors behind the filter, relative to its passband.
 _FLOORS = np.array([0.0, *np.geomspace(1e-8, 0.3, 16)])
-#: Slopes of noise that no filter makes, and their floors, relative to it at the lowest frequency.
+#: Slopes of unfiltered noise, and their floors, relative to it at the lowest frequency.
 _SLOPES = np.linspace(0.0, 4.0, 17)
 #: Parts of the periodogram that are independent, with Hann's window.
 _INDEPENDENT = 0.67
-#: A filter below so many steps of the stamps changes nothing.
+#: A filter below this number of steps of the stamps has no effect.
 _LEAST_STEPS = 2.0
-#: What a spectrum may leave by the kind of its filter, in ln of the power.
+#: Largest residual of a spectrum by the kind of its filter, in ln of the power.
 _MISFIT = 0.05
-#: A vibration is a line of so many frequencies.
+#: A vibration is a line of this number of frequencies.
 _LINE = 5
-#: Relative deviation of a time by what kind of filter it is.
+#: Relative deviation of a time by the kind of filter.
 _KIND_SD = 0.2
 
 
@@ -124,7 +124,7 @@ def noise_finding(
     evidence = f"{count} samples at rest in the air"
     rounded = max(step_of(c) for s in sessions for c in _values(stream, s)[1].T)
     if rounded > 2.0 * value:
-        # Such steps hide the noise: what is left is the error of rounding.
+        # Such steps hide the noise: the rounding error remains.
         value = rounded / math.sqrt(12.0)
         sd = 0.2 * value
         evidence = "that of rounding: the values come in larger steps than the noise"
@@ -136,7 +136,7 @@ def noise_finding(
 
 
 def _at_rest(session: Session, times: Array) -> Mask:
-    """Return which samples are in chunks in the air in which the probe neither moves nor turns."""
+    """Return which samples are in chunks in the air where the probe neither moves nor turns."""
     moved = np.linalg.norm(np.diff(session.position, axis=0), axis=1)
     is_slow = np.maximum([0.0, *moved], [*moved, 0.0]) < 4.0 * np.linalg.norm(session.motion_noise)
     rest = session.air & is_slow & ~session.turning
@@ -146,14 +146,14 @@ def _at_rest(session: Session, times: Array) -> Mask:
 
 
 def step_of(values: Array) -> float:
-    """Return the step in which values come; 0 where there is none."""
+    """Return the quantisation step of values; 0 where there is none."""
     different = np.unique(values)
     gaps = np.diff(different)
     gaps = gaps[gaps > 1e-9 * max(float(np.abs(different).max()), 1e-30)]
     if different.size > _REPEATED * values.size or gaps.size < 3:
         return 0.0
     step = float(np.quantile(gaps, 0.1))
-    # The least gap that is common, refined by all that are whole multiples of it.
+    # The smallest common gap, refined by all that are whole multiples of it.
     whole = np.round(gaps / step)
     step = float((gaps @ whole) / (whole @ whole))
     off = np.abs(gaps / step - np.round(gaps / step))
@@ -233,7 +233,7 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
 
 
 def lift_off_finding(sessions: Sequence[Session]) -> Finding:
-    """Say whether and when the probe was in the air."""
+    """Report whether and when the probe was in the air."""
     touched = [session for session in sessions if session.contacts]
     if not touched:
         return unknown("lift-off", "no contact was seen")
@@ -256,7 +256,7 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
 
 
 def find_filter(rest: Sequence[Array], rate: float) -> Filter | None:
-    """Return the filter on a force at `rate` [Hz], from stretches in the air; None: none seen."""
+    """Return the filter on a force at `rate` [Hz], from stretches in the air; None: not seen."""
     longest = max((part.size for part in rest), default=0)
     size = min(int(_LENGTH * rate), longest)
     if size < max(_LEAST_LENGTH * rate, 32):
@@ -274,7 +274,7 @@ def find_filter(rest: Sequence[Array], rate: float) -> Filter | None:
     left = np.delete(power, line)
     with_line = float(_likelihoods(np.ones_like(left), left, count)[0])
     free = max(free, with_line - count * float(np.log(power[line]).sum()))
-    # The passband has to be seen, and its end.
+    # The data must show the passband and its end.
     tried = [
         (_likelihoods(gain, power, count).max(), steps / (2.0 * math.pi * cutoff), half * cutoff)
         for cutoff in np.geomspace(2.0 * frequencies[0], 0.5 * frequencies[-1], 40)
@@ -282,7 +282,7 @@ def find_filter(rest: Sequence[Array], rate: float) -> Filter | None:
     ]
     likelihoods, delays, halves = (np.array(column) for column in zip(*tried, strict=True))
     best = int(np.argmax(likelihoods))
-    # A spectrum that fits leaves Gamma variables of mean 1: a line of a vibration does not.
+    # Residuals of a fitting spectrum are Gamma variables of mean 1: a vibration's line is not.
     size = power.size * count
     misfit = -float(likelihoods[best]) - float(count * np.log(power).sum())
     expected = size * (math.log(len(parts)) - float(digamma(len(parts))))
@@ -299,9 +299,9 @@ def find_filter(rest: Sequence[Array], rate: float) -> Filter | None:
 
 
 def _filters(ratio: Array) -> list[tuple[Array, float, float]]:
-    """Return power gain (n,), delay in radians of the cutoff, and where half the power is left.
+    """Return power gain (n,), delay in radians of the cutoff, and the frequency of half power.
 
-    Of first-order stages in a row, of Butterworth's filters, and of a mean over a time.
+    For first-order stages in series, Butterworth's filters, and a mean over a time.
     """
     return [
         *(

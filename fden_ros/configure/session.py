@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings of one rig cut into air and contact, once it is known how the probe presses."""
+"""Recordings of one rig divided into air and contact, once the direction of presses is known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fden_ros.experiments.regression import linear
 
 #: Chunks [s] average the noise; each holds at least 4 samples of force and 3 of position.
 _CHUNK = 0.05
-#: Where the force is calmest over so many chunks, as in the air, they show its noise.
+#: The calmest force over this number of chunks, as in the air, shows its noise.
 _CALM = 10
 #: The tool turns above this rate [rad/s].
 _TURNING = 0.02
@@ -34,10 +34,10 @@ DRIFT_PART = 0.002
 _FOLLOW = 2.0
 #: Force and motion are compared by their changes over this part of a recording.
 _CHANGES = 100
-#: In the air the probe travels by this part of its stroke in contact, at least, and the force
+#: In the air the probe travels at least this part of its stroke in contact, and the force
 #: follows the motion by less than this part of that in contact.
 _TRAVEL, _FLAT = 0.2, 0.15
-#: Contact that is lost for less than this [s] goes on, as in an oscillation that lifts off; it
+#: A contact continues over a loss shorter than this [s], as in an oscillation that lifts off; it
 #: has at least this many chunks.
 _SAME, _LEAST = 0.5, 4
 #: A recording whose largest change of force is below this many deviations holds no contact.
@@ -59,7 +59,7 @@ class Contact(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Unit vectors in which force and motion go together, into the tissue where `signs` hold."""
+    """Unit vectors along which force and motion agree, into the tissue where `signs` hold."""
 
     grows: Array  #: of the force (k,)
     into: Array  #: of the displacement (j,)
@@ -100,7 +100,7 @@ class Session:
 
     @cached_property
     def force_chunk_noise(self) -> Array:
-        """Standard deviation of the force's means (k,), which noise that is not white widens."""
+        """Standard deviation of the force's means (k,), which coloured noise widens."""
         white = self.force_noise / math.sqrt(self._per_chunk(self.streams.force_times))
         apart = apart_from_neighbours(self.times, self.force)
         parts = np.array_split(apart, max(len(apart) // _CALM, 1))
@@ -240,10 +240,10 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
 
 
 def _lowest(times: Array, push: Array, still: Mask, limit: float) -> Array:
-    """Return the level that the force never falls below, but for a drift (n,).
+    """Return the level that the force never falls below, except for a drift (n,).
 
-    A contact only pushes: the level goes along the lower hull of the force's medians, from the
-    lowest of them to both sides, as far as it is no steeper than a drift.
+    A contact only pushes: the level follows the lower hull of the force's medians, from the
+    lowest of them to both sides, where it is no steeper than a drift.
     """
     width = max(_LEAST + 1, math.ceil(_WINDOW / float(times[1] - times[0])))
     inside = np.flatnonzero(still)
@@ -286,7 +286,7 @@ def _followed(times: Array, values: Array, air: Mask) -> Array:
 
 
 def _is_air(times: Array, height: Array, motion: Array, air: Mask, still: Mask) -> bool:
-    """Whether the probe travels in what is taken for air, and the force does not follow it."""
+    """Whether the probe travels in the presumed air, and the force does not follow it."""
     pressed = still & ~air
     if min(int(air.sum()), int(pressed.sum())) < _LEAST:
         return bool(air.sum() >= _LEAST)

@@ -3,17 +3,17 @@
 
 r"""Signs of force and displacement: the readings of a recording compared.
 
-Force and displacement may each grow or fall as the probe presses: four readings, of which mostly
-two go with the force's change. Under the right one the force is that of a contact:
+Force and displacement may each grow or fall as the probe presses: four readings, of which usually
+two agree with the force's change. Under the right one the force is that of a contact:
 
 .. math:: F(t) = b + d\,t + \sum_{k,m} w_{km} \int_0^t e^{-(t-s)/\tau_m} \, d(x(s)-x_k)_+
           + \sum_m h_m e^{-t/\tau_m}, \qquad w_{km} \ge 0
 
-It is constant in the air but for a drift d, grows convexly with the depth x, never pulls, and
-relaxes towards the force in the air; h is what the tissue remembers from before. Nonnegative least
-squares fit each reading, and the ratio of the likelihoods says how far the next best is excluded.
-Each weight follows the noise too: twice its variance a weight is added to what a fit leaves
-(Mallows), or a few chunks fit any sign. Several presses are fitted one by one, cut between them.
+It is constant in the air except for a drift d, grows convexly with the depth x, never pulls, and
+relaxes towards the force in the air; h is the tissue's memory of earlier presses. Nonnegative
+least squares fit each reading, and the ratio of the likelihoods shows how far the next best is
+excluded. Each weight also fits the noise: twice its variance per weight is added to the residual
+(Mallows), otherwise a few chunks fit any sign. Several presses are fitted separately, cut between.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from fden_ros.core.arrays import Array
 
 Mask = NDArray[np.bool_]
 
-#: A reading is stated where it is this many times as likely as any other.
+#: A reading is claimed where it is this many times as likely as any other.
 LEAST_RATIO = 1e4
-#: Times of relaxation [s]: a sum of two follows what a press and a hold show of a power law.
+#: Times of relaxation [s]: a sum of two fits a press and a hold of a power law.
 _TIMES = (0.5, 6.0)
 #: Delays of the displacement that are tried [s].
 _DELAYS = (-0.02, 0.0, 0.02, 0.04, 0.06)
@@ -41,7 +41,7 @@ _DELAYS = (-0.02, 0.0, 0.02, 0.04, 0.06)
 _KNOTS = 6
 #: A stroke that cuts is at least this part of the range in which the force changes.
 _STROKE = 0.4
-#: Parts are fitted one by one up to this number, and from this number of chunks on.
+#: Parts are fitted separately up to this number, and from this number of chunks on.
 _MOST_PARTS, _LEAST_CHUNKS = 40, 10
 
 #: Signs of force and motion.
@@ -59,7 +59,7 @@ class Course(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """What a reading leaves of the force, and what it would leave of another such recording."""
+    """The residual of a reading, and its expectation for another such recording."""
 
     residual: Array
     misfit: float
@@ -88,9 +88,9 @@ def find_signs(courses: Sequence[Course]) -> Signs:
 
 
 def _compared(course: Course) -> Array:
-    """Return ln of the likelihoods (4,), with those cuts with which any reading fits best.
+    """Return ln of the likelihoods (4,), with the cuts of the best reading.
 
-    They are those of Gaussians whose variance is not known.
+    They are those of Gaussians with unknown variance.
     """
     tried = (
         course._replace(motion=np.interp(course.times + delay, course.times, course.motion))
@@ -128,7 +128,7 @@ def _partitions(course: Course) -> list[list[tuple[int, int]]]:
         for turn in turns:
             if min(turn - ends[-1], motion.size - turn) >= _LEAST_CHUNKS:
                 ends.append(int(turn))
-        # Half a press fits any sign, with a memory of its own: a cut leaves no two halves alone.
+        # Half a press fits any sign, with a memory of its own: no cut may separate two halves.
         if len(ends) > 1 and opposite.size:
             found.append(list(zip(ends, [*ends[1:], motion.size], strict=True)))
     return found
@@ -154,7 +154,7 @@ def contact_fit(
     relaxation: Sequence[float],
     seen: Mask | None = None,
 ) -> tuple[Array, int]:
-    """Fit the force of a contact to even samples (n,); return what is left and the free weights.
+    """Fit the force of a contact to even samples (n,); return the residual and free weights.
 
     Springs, and Maxwell elements of times `relaxation` [s], begin at `knots` of the depth (k,).
     """
@@ -172,7 +172,7 @@ def contact_fit(
 
 
 def independent(residual: Array) -> float:
-    """Return how many samples count as independent: neighbours that hang together for less."""
+    """Return the number of independent samples: neighbours are correlated."""
     size = max(float(residual @ residual), 1e-300)
     together = float(residual[1:] @ residual[:-1]) / size if residual.size > 1 else 0.0
     together = min(max(together, 0.0), 0.99)

@@ -58,7 +58,7 @@ class Streams:
 def pooled(values: ArrayLike, sds: ArrayLike) -> tuple[float, float]:
     """Return the mean weighted by the variances, and its deviation, which scatter widens."""
     found, each = np.asarray(values, dtype=float), np.asarray(sds, dtype=float)
-    # One without any scatter, as of a coarse sensor, outweighs the others, and no more.
+    # One without any scatter, as of a coarse sensor, must not outweigh all others.
     weights = 1.0 / np.square(np.maximum(each, 1e-9 * max(float(each.max()), 1e-9)))
     mean = float(weights @ found / weights.sum())
     misfit = float(weights @ (found - mean) ** 2) / max(found.size - 1, 1)

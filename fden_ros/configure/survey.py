@@ -46,10 +46,10 @@ def survey(
     rigid: Collection[str] = (),
     units: Mapping[str, Unit] = STATED_SI,
 ) -> Survey:
-    """Find out what recordings show of one rig.
+    """Return the findings of recordings of one rig.
 
-    Stated are the `indenter` (``geometry.*``), the names of recordings in which something `rigid`
-    was pressed, and the `units` of force and displacement, which are in SI units then.
+    Stated are the `indenter` (``geometry.*``), the names of recordings of a press on something
+    `rigid`, and the `units` of force and displacement, which are then in SI units.
     """
     weight = find_weight(recordings)
     loads = [None if weight is None else weight.load(one) for one in recordings]
@@ -78,7 +78,7 @@ def survey(
 
 
 def _indenter(stated: Mapping[str, float | str] | None, geometry: Geometry) -> Finding:
-    """Return the indenter as it was stated; no recording shows it."""
+    """Return the stated indenter; no recording shows it."""
     if stated is None:
         return unknown("indenter", "force and displacement do not show a face or a thickness")
     words = ", ".join(f"{name} {value}" for name, value in stated.items())

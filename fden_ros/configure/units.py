@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Units are stated, by headings, by types of messages or by the user: sizes assert none.
+"""Units are stated, by headings, by types of messages or by the user, and never guessed by size.
 
-Where none is stated, each unit stands with what it would make of the tissue.
+Where none is stated, each unit is shown with its result for the tissue.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fden_ros.core.law import Geometry
 from fden_ros.recording.headings import UNITS
 from fden_ros.written import written
 
-#: Units that a recording may be in where it states none; the first is that of SI.
+#: Units of recordings that state none; the first is that of SI.
 _POSSIBLE = {"force": ("N", "mN", "g", "kgf", "lbf"), "displacement": ("m", "mm")}
 _STATE = (
     "state it: a factor in --columns, as force*9.80665e-3 of grams; of a bag publish a type that "
@@ -50,7 +50,7 @@ def unit_of(stream: str, factor: float) -> Unit:
 def unit_findings(
     sessions: Sequence[Session], axes: Axes, geometry: Geometry | None, units: Mapping[str, Unit]
 ) -> tuple[Finding, ...]:
-    """Return what is stated of the units of force and displacement, or what each would make."""
+    """Return the stated units of force and displacement, or the result of each unit."""
     deepest = _deepest(sessions, axes)
     return tuple(
         Finding(f"{stream} unit", units[stream].name, None, "as stated")
@@ -66,7 +66,7 @@ def _possible(
     geometry: Geometry | None,
     units: Mapping[str, Unit],
 ) -> str:
-    """Say what each unit would make of the tissue."""
+    """Return the result of each unit for the tissue."""
     if deepest is None:
         return f"none is stated: {_POSSIBLE[stream][0]} is taken"
     made = []
@@ -98,7 +98,7 @@ def _deepest(sessions: Sequence[Session], axes: Axes) -> tuple[float, float] | N
 
 
 def in_own_unit(finding: Finding, units: Mapping[str, Unit]) -> Finding:
-    """Return a finding in the recording's unit; what rests on an unknown one is not stated."""
+    """Return a finding in the recording's unit; one with an unknown unit is not claimed."""
     stream = finding.subject.partition(" ")[0]
     if finding.unit in ("N", "N/s", "m") and stream in units:
         unit, value, sd = units[stream], finding.value, finding.deviation

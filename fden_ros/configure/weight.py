@@ -3,9 +3,9 @@
 
 r"""Mass of the tool, from orientations in the air.
 
-A tool of mass m on the sensor shows as :math:`F = m R^T g + b`, with the orientation R of the
-sensor, gravity g and the bias b. That is linear in the weight, which least squares over the turns
-find, together with a drift, and with the delay of the poses behind the force. Where the poses are
+A tool of mass m shows on the sensor as :math:`F = m R^T g + b`, with the orientation R of the
+sensor, gravity g and the bias b. That is linear in the weight. Least squares over the turns
+find it, together with a drift and with the delay of the poses behind the force. If the poses are
 of another frame than the sensor, :math:`F = M R^T e + b` with M a rotation times the weight.
 """
 
@@ -28,31 +28,31 @@ from fden_ros.parameters import Value
 GRAVITY = 9.80665
 #: The tool turns above this rate [rad/s]; rests between turns of up to 2 s count as turning.
 _TURNING, _REST = 0.05, 2.0
-#: Step in which turning is looked for, and what is left out at the ends of a stretch [s].
+#: Step of the search for turns, and the margin at the ends of a stretch [s].
 _STEP = 0.1
-#: The delay of the poses is solved for in this many steps of Gauss and Newton.
+#: Steps of Gauss and Newton for the delay of the poses.
 _STEPS = 4
-#: The mass is claimed from this relative deviation on: 2 % are then 2.5 deviations.
+#: The mass is claimed up to this relative deviation: 2 % are then 2.5 deviations.
 _LARGEST_PART = 0.008
-#: A fit holds where it leaves less than 2.5 deviations of noise, or 3 % of the weight.
+#: A fit holds with a residual below 2.5 deviations of noise, or 3 % of the weight.
 _MOST_NOISE, _MOST_PART = 2.5, 0.03
 #: Gravity is upright within this angle [rad] or 3 deviations.
 _UPRIGHT = math.radians(2.0)
 #: Rate of a turn [rad/s] that the poses are interpolated in.
 _USUAL_RATE = 1.0
-#: The largest angle between orientations that is enough [rad].
+#: Sufficient largest angle between orientations [rad].
 _LEAST_TURN = math.radians(40.0)
 #: Scatter of the orientations [1] below which all turns are about one axis: the weight along
 #: it cannot be separated from the bias. Turns by 28 degrees about a second axis give this much.
 #: Below the second, half a degree of wobble, least squares have no solution of their own.
 _LEAST_SPREAD, _NO_SPREAD = 0.02, 1e-5
-#: The driver has subtracted the weight if less than this is left [N], or less than 5 deviations.
+#: The driver has subtracted the weight if less than this remains [N], or less than 5 deviations.
 _SUBTRACTED = 0.05
 
 
 @dataclass(frozen=True)
 class Weight:
-    """The tool's weight as the sensor shows it, in units of the recorded force."""
+    """The tool's weight on the sensor, in units of the recorded force."""
 
     matrix: Array  #: the weight is ``matrix @ R.T @ down`` (3, 3)
     down: Array  #: unit vector along which it points, in the poses' frame (3,)
@@ -60,7 +60,7 @@ class Weight:
     sd: float
     delay: float  #: of the poses' stamps behind the force's [s]
     delay_sd: float
-    left: float  #: what the fit leaves, root mean square
+    left: float  #: residual of the fit, root mean square
     holds: bool  #: whether it explains the force in the turns
     is_turned: bool  #: whether the poses are of another frame than the sensor's
 
@@ -108,8 +108,8 @@ class _Turns:
         largest = max(float((some * one.inv()).magnitude().max()) for one in some)
         if largest < _LEAST_TURN:
             return f"the tool turned by {math.degrees(largest):.0f} degrees only", 0.0
-        # A direction v of the poses' frame is seen from the tool as R.T v: the scatter is the mean
-        # square of that less its mean, 0 where all turns are about v.
+        # A direction v of the poses' frame is R.T v in the tool's frame. The scatter is its mean
+        # square less its squared mean, 0 where all turns are about v.
         mean = turns.as_matrix().mean(axis=0)
         sizes, axes = np.linalg.eigh(np.eye(3) - mean @ mean.T)
         axis = axes[:, 0] * math.copysign(1.0, axes[np.argmax(np.abs(axes[:, 0])), 0])
@@ -144,7 +144,7 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
     vector = own.values[:3]
     size = float(np.linalg.norm(vector))
     down = vector / max(size, 1e-300)
-    # The poses are the sensor's where a rotation of its own explains hardly more.
+    # The poses are the sensor's where a rotation of its own hardly improves the fit.
     better = (own.rms / max(free.rms, 1e-300)) ** 2 - 1.0
     is_turned = better >= 60.0 / (own.residuals.size / 3) + 1e-3 and own.rms >= 0.004 * size
     if is_turned:
@@ -152,7 +152,7 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
         sizes = np.linalg.svd(matrix)[1]
         size, sd = float(np.mean(sizes)), float(np.sqrt(np.mean(found.sds[:9] ** 2)))
         down = np.array([0.0, 0.0, -1.0])
-        # A weight turns as a whole: other stretches in different directions are something else.
+        # A weight turns as a whole: stretches in different directions have another cause.
         is_whole = float(np.ptp(sizes)) < max(8.0 * sd, 0.05 * size)
     else:
         found, matrix, is_whole = own, size * np.eye(3), True
@@ -160,7 +160,7 @@ def find_weight(recordings: Sequence[Streams]) -> Weight | None:
         across = float(np.mean(found.sds[:3])) / max(size, 1e-300)
         if math.acos(min(abs(float(down[2])), 1.0)) < max(_UPRIGHT, 3.0 * across):
             down = np.array([0.0, 0.0, math.copysign(1.0, down[2])])
-        # What lies across adds to the length, by half its square.
+        # A perpendicular part adds half its square to the length.
         sd = math.hypot(along, across**2 * size)
     # Lines between the poses miss a part of a turn.
     step = max(float(np.median(np.diff(one.motion_times))) for one, _ in turns.parts)

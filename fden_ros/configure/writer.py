@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The parameter file of a survey, commented: value, deviation, where from, and what is missing."""
+"""The commented parameter file of a survey: values, deviations, sources, and what is missing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fden_ros.configure.survey import Survey
 from fden_ros.parameters import ATTENTION_LINE, LIVE_LINE, OPEN_AXIS, PARAMETERS, Value
 from fden_ros.recording.source import SELECTION_LINE
 
-#: Units in which a person reads the values.
+#: Readable units of values.
 _SCALES = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/N": (1e3, "mm/N"), "rad": (1.0, "")}
 
 
@@ -42,7 +42,7 @@ def parameter_values(survey: Survey, readings: Sequence[Reading]) -> dict[str, V
 
 
 def replay_problems(survey: Survey) -> list[str]:
-    """Return why `fden replay` with the file will not give numbers to rely on, a line each."""
+    """Return why `fden replay` with the file will not give reliable numbers, a line each."""
     problems = []
     unknown: dict[str, list[str]] = {}
     for stream in ("force", "displacement"):
@@ -98,11 +98,11 @@ def value_text(finding: Finding) -> str:
 
 
 def _sentence(finding: Finding) -> str:
-    """Return all of a finding."""
+    """Return the whole text of a finding."""
     if finding.claim:
         return f"{finding.subject}: {value_text(finding)}; {finding.evidence}."
     known = f" {value_text(finding)};" if finding.value is not None else ""
-    why = f"CANNOT TELL;{known} {finding.evidence}"
+    why = f"NOT FOUND;{known} {finding.evidence}"
     return f"{finding.subject}: {why}. To find out: {finding.motion}."
 
 

@@ -9,13 +9,13 @@ target as a first-order system of the bandwidth w, whatever the tissue:
 .. math:: v = \frac{1}{k} \min\Bigl( w\,(F_{target} - F),\;
           \frac{F_{limit} - F}{\rho\,T} \Bigr)
 
-The second term is what the force may rise by per second so that it stays below its limit if the
-tissue turns :math:`\rho` times stiffer and the loop takes T to answer. Near the target an integral
-of the error is added, because tissue relaxes for ever.
+The second term limits the rise of the force per second, so that it stays below its limit if the
+tissue turns :math:`\rho` times stiffer and the loop takes T to respond. Near the target an
+integral of the error is added, because tissue never stops relaxing.
 
-Where the tissue resists more than k says, the ratio of what is measured over the last moments to k
-counts at once: an inclusion stiffens before any estimate can know of it. Without a stiffness k is
-the fixed, safe one, or the last one in use where that is larger.
+Where the tissue resists more than k predicts, the measured ratio of the last moments to k counts
+at once: an inclusion stiffens before an estimate shows it. Without a stiffness k is the fixed,
+safe one, or the last one in use where that is larger.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ForceControlConfig:
     """One force controller; SI units."""
 
     safe_stiffness: float  #: k of the safe gains [N/m]: the stiffest tissue that is expected
-    force_limit: float  #: the force shall stay below it [N]
+    force_limit: float  #: limit of the force [N]
     bandwidth: float = 12.0  #: w [rad/s]: at most a third of 1 / (delay + lag of the axis)
     reaction_time: float = 0.06  #: T [s]: from a change of the force to the axis answering
     touch_force: float = 0.01  #: below it the probe is in the air [N]
@@ -57,20 +57,20 @@ class ForceControlConfig:
 
 #: rho: the ratio by which tissue may suddenly stiffen [1].
 GUARDED_STIFFENING = 6.0
-#: In contact the probe is no faster [m/s].
+#: Largest speed in contact [m/s].
 _MAX_SPEED = 0.05
-#: No gain is larger than for tissue as soft as this [N/m].
+#: The softest tissue for the gains [N/m].
 _LEAST_STIFFNESS = 0.1
 #: The secant is taken over 25 ms [s] and 20 um [m] at least, less a multiple of its deviation.
 _WINDOW, _LEAST_MOTION, _CERTAIN = 0.025, 2e-5, 3.0
-#: Up to this ratio to it the estimate is believed; more is forgotten at this rate [1/s].
+#: Up to this ratio to it the estimate is trusted; a larger one decays at this rate [1/s].
 _BELIEVED, _FORGETTING = 1.5, 2.0
 #: The integral acts within this part of the target, at this part of the bandwidth.
 _NEAR, _INTEGRAL_PART = 0.1, 0.25
 
 
 class ForceController:
-    """Velocity of the probe from force, depth and what is known of the tissue.
+    """Velocity of the probe from force, depth and the tissue's stiffness.
 
     `gains` says where those of the last step came from, `stiffness` is its k [N/m].
     """
@@ -92,8 +92,8 @@ class ForceController:
     ) -> float:
         """Return the velocity into the tissue [m/s].
 
-        `force` [N] and `depth` [m] were measured at `time` [s]. A `target` of 0 N or less leaves
-        the tissue. `known` is its stiffness at 1 / bandwidth and the deviation [N/m], if it is.
+        `force` [N] and `depth` [m] were measured at `time` [s]. With a `target` of 0 N or less the
+        probe leaves the tissue. `known` is the stiffness at 1 / bandwidth and its deviation [N/m].
         """
         config = self.config
         elapsed = 0.0 if self._time is None else time - self._time
@@ -109,7 +109,7 @@ class ForceController:
         return min(max(velocity, -_MAX_SPEED), _MAX_SPEED)
 
     def _forget(self) -> None:
-        """In the air: whatever is touched next is new."""
+        """In the air: the next touch is on new tissue."""
         self._recent.clear()
         self._stiffening, self._integral = 1.0, 0.0
         self.gains, self.stiffness = Gains.SAFE, self.config.safe_stiffness
@@ -128,10 +128,10 @@ class ForceController:
     ) -> None:
         safe = self.config.safe_stiffness
         if known is None:
-            # No faster than is safe, and no faster than before the loss.
+            # No faster than the safe speed, and no faster than before the loss.
             self.gains, self._known = Gains.SAFE, max(safe, self._known)
         else:
-            # Cautious: the value and its deviation.
+            # Conservative: the value and its deviation.
             least = min(_LEAST_STIFFNESS, safe)
             self.gains, self._known = Gains.LIVE, max(known[0] + known[1], least)
         if measured is not None:
@@ -149,6 +149,6 @@ class ForceController:
             return None
         centred = depths - depths.mean()
         spread = float(centred @ centred)
-        # Cautious the other way: noise must not look like an inclusion.
+        # Conservative the other way: noise must not look like an inclusion.
         doubt = _CERTAIN * self.config.force_noise / math.sqrt(spread)
         return float(centred @ forces) / spread - doubt

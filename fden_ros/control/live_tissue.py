@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The latest estimate with its age, or the reason why there is none to rely on.
+"""The latest reliable estimate with its age, or the reason why there is none.
 
-What :class:`fden_ros.tissue_feed.TissueFeed` does with messages this does with states, so that a
-closed loop can be simulated without ROS and by the same rules.
+The counterpart for states of :class:`fden_ros.tissue_feed.TissueFeed`, which works on messages. So
+a closed loop can be simulated without ROS and by the same rules.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ LAW_FLAGS = (
     | Flag.ALPHA_PRIOR_CONFLICT
     | Flag.GEOMETRY_UNSTATED
 )
-#: With one of the others nothing is relied on.
+#: With one of the other statuses there is no reliable estimate.
 REFUSED_FLAGS = ~Flag.INPUT_REJECTED
 #: N/m is stated from this number of its standard deviations on, as the measured slope is.
 _STATED_FROM = 4.0
 #: The stress between two estimates is not known where they are farther apart than this time [s]
-#: and than this multiple of the step before [1]: slow sensors leave no gap, an estimate that was
-#: not heard does.
+#: and than this multiple of the step before [1]: a slow sensor leaves no gap, a lost estimate
+#: does.
 _LONGEST_STEP, _LONGEST_STEP_RATIO = 0.05, 1.5
 #: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
-#: says: where it is off by a fifth, pressed tissue would seem free.
+#: says: where the law is off by a fifth, pressed tissue would seem free.
 _UNLOADED_PART = 0.05
-#: Three estimates in a row contradict by 20 % of the predicted force and five deviations.
+#: Three consecutive estimates contradict by 20 % of the predicted force and five deviations.
 _MISSED_PART, _MISSED_NIS, _MISSES = 0.2, 25.0, 3
-#: How fast the least delay seen is forgotten, as clocks drift [s/s].
+#: Rate at which the least delay is forgotten, because clocks drift [s/s].
 _DELAY_LEAK = 1e-4
-#: An identifier without input says so once a second; without that for this time it is lost [s].
+#: An identifier without input reports so once a second; after this time of silence it is lost [s].
 _STALE_PATIENCE = 3.0
 
 
 class Cause(enum.Enum):
-    """Why there is no estimate to rely on."""
+    """Why there is no reliable estimate."""
 
     NEVER_HEARD = "no estimate has come yet: is the identifier active?"
     LOST = "no estimate within the deadline: the identifier is frozen, killed or unreachable"
@@ -70,7 +70,7 @@ class Cause(enum.Enum):
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why there is no estimate to rely on, with the flags that the estimate carries."""
+    """Why there is no reliable estimate, with the flags of the newest one."""
 
     cause: Cause
     flags: Flag = Flag.NONE  #: those that make an estimate unreliable
@@ -85,12 +85,12 @@ class Refusal:
 
 
 class Stiffness(NamedTuple):
-    """dF/dd, by the law or as it was measured."""
+    """dF/dd, by the law or measured."""
 
     value: float  #: [N/m]
     sd: float  #: its standard deviation [N/m]
-    #: Of a measured slope: how far below the surface it was measured [m]; None: it is N/m of the
-    #: present, by the law.
+    #: Of a measured slope: its depth below the surface [m]; None: it is N/m of the present, by
+    #: the law.
     depth: float | None = None
 
 
@@ -103,19 +103,19 @@ _WITH_STIFFNESS = (None, Cause.NOT_CONVERGED, Cause.NOT_OBSERVABLE, Cause.REJECT
 
 @dataclass(frozen=True)
 class Reading:
-    """An estimate that may be relied on at the time it was requested: G and Gn are known."""
+    """A reliable estimate at the time of the request: G and Gn are known."""
 
     state: TissueState
     estimate: Estimate
-    age: float  #: [s] since it arrived, and how much later than usual it did
+    age: float  #: [s] since its arrival, with its extra delay
 
 
 class LiveTissue:
-    """What is known now, from estimates as they arrive; calls from several threads are safe.
+    """The present data, from estimates as they arrive; calls from several threads are safe.
 
     `now` is the time by a clock that never jumps [s], or ``time.monotonic``. Parameters are those
-    of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts how often the identifier began
-    anew, whose memory of the tissue is gone then.
+    of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts restarts of the identifier,
+    with which its memory of the tissue is gone.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class LiveTissue:
     # Input
 
     def add(self, state: TissueState, now: float | None = None) -> None:
-        """Take an estimate that arrived at `now`."""
+        """Add an estimate that arrived at `now`."""
         now = _time(now)
         with self._lock:
             if self._state is not None and _started_again(self._state, state):
@@ -161,7 +161,7 @@ class LiveTissue:
             self.check(now)
 
     def count_publishers(self, alive: int, now: float | None = None) -> None:
-        """Take note of how many nodes publish the estimate; 0: the identifier is gone."""
+        """Set the number of nodes that publish the estimate; 0: the identifier is gone."""
         with self._lock:
             self._publishers = alive
             self.check(now)
@@ -177,14 +177,14 @@ class LiveTissue:
     # Output
 
     def refusal(self, now: float | None = None) -> Refusal | None:
-        """Return why there is no estimate to rely on; None if there is one."""
+        """Return why there is no reliable estimate; None if there is one."""
         with self._lock:
             state, cause = self._state, self._cause(_time(now))
             flags = state.flags & REFUSED_FLAGS if state is not None else Flag.NONE
             return Refusal(cause, flags) if cause is not None else None
 
     def reading(self, now: float | None = None) -> Reading | None:
-        """Return the latest estimate if it may be relied on, else None."""
+        """Return the latest estimate if it is reliable, else None."""
         now = _time(now)
         with self._lock:
             state = self._state
@@ -213,7 +213,7 @@ class LiveTissue:
             return Stiffness(slope.value, slope.sd, slope.depth)
 
     def measured(self, now: float | None = None) -> Slopes:
-        """Return the slopes as they are measured; none while no estimate comes in time."""
+        """Return the measured slopes; none while no estimate arrives in time."""
         with self._lock:
             if self._state is None or self._cause(_time(now)) in _WITHOUT_STATE:
                 return NOT_MEASURED
@@ -222,8 +222,8 @@ class LiveTissue:
     def predictor(self, now: float | None = None) -> Predictor | None:
         """Return the tissue as it is at the latest estimate, for several predictions.
 
-        None if there is no estimate to rely on, or the memory is not known: its contact was not
-        heard from the touch on. :class:`InputError` if there is no geometry.
+        None if there is no reliable estimate, or the memory is not known because estimates since
+        the touch are missing. :class:`InputError` if there is no geometry.
         """
         if self._geometry is None:
             raise InputError("a prediction needs a geometry: give parameters= or geometry=")
@@ -240,7 +240,7 @@ class LiveTissue:
                 self._uncertainty,
             )
 
-    # Inside
+    # Private
 
     def _cause(self, now: float) -> Cause | None:
         state = self._state
@@ -265,7 +265,7 @@ class LiveTissue:
         return Cause.CONTRADICTED if self._contradicted == state.contact_id else None
 
     def _watch_delay(self, state: TissueState, now: float) -> None:
-        """Measure how much later than the quickest one an estimate has come."""
+        """Measure how much later than the quickest one an estimate arrived."""
         if not self._real_time or state.status is Status.STALE:
             return
         delay = now - state.stamp_ns / NANOSECONDS
@@ -274,7 +274,7 @@ class LiveTissue:
         self._lag = delay - self._least_delay
 
     def _compare(self, state: TissueState) -> None:
-        """Take note when the force misses what a converged estimate predicts, several times."""
+        """Count consecutive misses of the force against the prediction of a converged estimate."""
         innovation, is_missed = state.innovation, False
         if innovation is not None and _is_known(state):
             is_large = abs(innovation.innovation) > _MISSED_PART * abs(innovation.predicted_stress)
@@ -288,7 +288,7 @@ class LiveTissue:
         is_late_air = state.status is Status.LATE and state.phase is Phase.APPROACH
         is_air = is_late_air or state.status is Status.NO_CONTACT
         if state.site_id != self._memory_site:
-            # Heard from the air on, nothing of a new site is missed.
+            # If estimates since the air arrived, none of a new site is missing.
             is_first = self._memory_site < 0
             self._is_memory_whole = is_air or not is_first
             self._memory, self._memory_site = TissueMemory(), state.site_id
@@ -321,7 +321,7 @@ def _time(now: float | None) -> float:
 
 
 def _is_known(state: TissueState) -> bool:
-    """Return whether G and Gn have converged, with what a reading holds."""
+    """Return whether G and Gn have converged, with the content of a reading."""
     return (
         state.status is Status.CONVERGED
         and state.estimate is not None

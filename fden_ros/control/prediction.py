@@ -3,22 +3,22 @@
 
 r"""Force of a planned motion by the law, with its interval.
 
-The exponential moments of the measured stress hold what the tissue remembers. Along the plan
+The exponential moments of the measured stress hold the tissue's memory. Along the plan
 
 .. math:: D^{-\alpha} f(t) = \varphi(x(t)) + r, \qquad r = D^{-\alpha} f(0) - \varphi(x(0)),
 
-so that the prediction begins at what is measured now, and what law and rig leave out at present
-stays as it is.
+so that the prediction begins at the measured value, and the present error of law and rig
+stays constant.
 
-The interval is first-order in the law's parameters and r. To it comes the variance by which what
-is left out may grow,
+The interval is first-order in the law's parameters and r, plus the variance of the growth of that
+error,
 
 .. math::
     v(t) = \int 2 f^2 \sigma_c^2\,|d\ln\varphi| + (k^2\sigma_s^2 + c^2\sigma_d^2)\,dt
     + \left( f\,\sigma_k \ln\frac{A(t)}{A(0)} \right)^2
 
 with :math:`\sigma_c` and :math:`\sigma_k` the relative errors of curve and relaxation, A the age
-of the loading, k the stiffness that the motion of the surface meets, c the stress by force.
+of the loading, k the stiffness against the motion of the surface, c the stress by force.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from fden_ros.core.law import (
 )
 from fden_ros.errors import InputError
 
-#: A plan is followed over at least this number of steps.
+#: Least number of steps of a plan.
 _POINTS = 40
 #: Derivatives are differences over this part of a standard deviation [1].
 _DERIVATIVE_PART = 0.1
@@ -57,7 +57,7 @@ _LAW_ALONE, _LEAST_AGE = 2.0, 0.01
 
 @dataclass(frozen=True)
 class Prediction:
-    """What will happen, with its deviation."""
+    """The predicted force, with its deviation."""
 
     times: Array  #: [s] from the present, shape (n,)
     value: Array  #: force [N], shape (n,)
@@ -69,7 +69,7 @@ class Prediction:
 
 
 class TissueMemory:
-    """The stress that a place has borne, in constant memory; `strain` [1], `stress` [Pa] now."""
+    """The stress history of a place, in constant memory; `strain` [1], `stress` [Pa] now."""
 
     def __init__(self) -> None:
         self._moments = StressMoments()
@@ -81,18 +81,18 @@ class TissueMemory:
         return self._moments.values
 
     def copy(self) -> TissueMemory:
-        """Return the memory as it is now."""
+        """Return a copy of the present memory."""
         own = copy.copy(self)
         own._moments = copy.copy(self._moments)
         return own
 
     def press(self, step: float, strain: float, stress: float) -> None:
-        """Take a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""
+        """Add a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""
         self._moments.add(step, self.stress, stress)
         self.strain, self.stress = strain, stress
 
     def rest(self, step: float) -> None:
-        """Take `step` seconds in the air."""
+        """Add `step` seconds in the air."""
         self.press(step, 0.0, 0.0)
 
     def is_free(self, step: float, strain: float, estimate: Estimate) -> bool:
@@ -106,8 +106,7 @@ class TissueMemory:
 class Predictor:
     """The tissue as it is now: parameters, memory and present stress.
 
-    `innovation_variance` is that of the stress [Pa^2]; `uncertainty` what is not known of model
-    and rig.
+    `innovation_variance` is that of the stress [Pa^2]; `uncertainty` is of model and rig.
     """
 
     geometry: Geometry
@@ -142,7 +141,7 @@ class Predictor:
     def _stress(self, steps: Array, strains: Array) -> tuple[Array, Array]:
         """Return the stress at the ends of steps [s] and its deviation [Pa], shape (n,) each."""
         values, axes = np.linalg.eigh(self.estimate.covariance)
-        # Towards a curve that bends: where the other has no effect, that may have.
+        # Towards the bend of the curve: the other direction may have no effect.
         signs = np.copysign(1.0, axes[1])
         changes = _DERIVATIVE_PART * np.sqrt(np.maximum(values, 0.0)) * signs * axes
         mean = self.estimate.mean
@@ -180,7 +179,7 @@ class Predictor:
         return found
 
     def _left_out(self, stress: Array, steps: Array, strains: Array) -> Array:
-        """Return the variance by which what the law leaves out has changed [Pa^2], (n,)."""
+        """Return the variance of the change of the law's error [Pa^2], (n,)."""
         estimate, stated = self.estimate, self.uncertainty
         elastic = elastic_responses(strains, 1.0, estimate.nonlinear_stiffness)
         response = np.maximum(elastic.value, 0.0) + _LEAST_RESPONSE
@@ -191,10 +190,10 @@ class Predictor:
         rig += (self.geometry.stress_per_force * stated.force_drift_sd) ** 2
         grown = 2.0 * (estimate.model_discrepancy * stress) ** 2 * loading + rig * steps
         age = max(estimate.mean_dwell_time, _LEAST_AGE)
-        # The data so far may widen what is stated, not shrink it.
+        # The data so far may widen the stated error, not shrink it.
         found = estimate.law_error.kernel if estimate.law_error is not None else 0.0
         relaxation = max(_LAW_ALONE * stated.kernel_sd, found) * stress
-        # New loading is younger: without it the relaxation is the largest.
+        # New loading is younger: without it the relaxation error is the largest.
         ageing = np.log1p(np.cumsum(steps) / age)
         return np.asarray(np.cumsum(grown) + (relaxation * ageing) ** 2)
 

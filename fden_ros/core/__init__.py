@@ -6,8 +6,8 @@
 ``streams`` → ``law`` → ``contact`` → ``estimation`` → ``classification`` → ``outputs``, composed
 by ``pipeline``. Nothing here knows ROS, a clock or a file.
 
-The names below are those to use from outside, documented in ``docs/python.md``; each is imported
-when it is first asked for.
+The names below are for use from outside, documented in ``docs/python.md``; each is imported
+at its first use.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The force in the air behind a contact, which may contradict that in the air before."""
+"""The force in the air after a contact, which may contradict that before it."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from typing import NamedTuple
 from fden_ros.core.contact import SLOW_NS, Onset
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: The force is averaged from 0.2 s to 0.5 s after the probe has gone back behind the surface where
-#: it touched [ns]: by then what stuck has let go, and a sensor that creeps has hardly recovered.
+#: The force is averaged from 0.2 s to 0.5 s after the probe has come back above the contact point
+#: [ns]: adhesion is over by then, and a creeping sensor has hardly recovered.
 _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 #: At least this number of samples is averaged.
 _LEAST_SAMPLES = 12
-#: It is judged when a slow contact that begins behind it is known: 1 s after the release, and
-#: 0.15 s after it was averaged [ns].
+#: It is judged when a slow contact that began in this air would be known: 1 s after the release,
+#: and 0.15 s after the averaging [ns].
 _AVERAGED_BEFORE_NS = 150_000_000
-#: It contradicts the air before the contact beyond this many stated standard deviations.
+#: It contradicts the air before the contact beyond this number of stated standard deviations.
 _CONTRADICTION = 5.0
 
 
 class AirChange(NamedTuple):
-    """The air's force after a contact less that before it, its drift there taken on."""
+    """The force in the air after a contact less that before it, extrapolated by its drift."""
 
     change: float  #: [N]
-    noise_variance: float  #: of that, by what is not known of the air [N^2]
-    drift_variance: float  #: of the drift that is stated for the contact [N^2]
+    noise_variance: float  #: of the change, from the uncertain air before [N^2]
+    drift_variance: float  #: of the drift stated for the contact [N^2]
 
     @property
     def deviations(self) -> float:
@@ -42,7 +42,7 @@ class AirChange(NamedTuple):
 
     @property
     def has_drifted(self) -> bool:
-        """Whether it contradicts what is stated of the drift."""
+        """Whether it contradicts the stated drift."""
         return abs(self.deviations) > _CONTRADICTION
 
 
@@ -69,11 +69,11 @@ class AirAfter:
         return stamp_ns > due_ns
 
     def is_known(self, until_ns: int) -> bool:
-        """Whether it was averaged until a stamp."""
+        """Whether the averaging had ended by a stamp."""
         return self._is_complete and self._end_ns <= until_ns
 
     def average(self, pair: Pair) -> None:
-        """Take a pair after the release."""
+        """Add a pair after the release."""
         if self._is_complete:
             return
         if pair.displacement >= self._onset.displacement:
@@ -88,7 +88,7 @@ class AirAfter:
             self._sum += pair.force
 
     def change(self) -> AirChange | None:
-        """Return how the air has changed; None where too few samples say nothing."""
+        """Return the change in the air; None: too few samples."""
         onset = self._onset
         if not self._is_complete or self._size < _LEAST_SAMPLES:
             return None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fden_ros.core.outputs import Phase
 from fden_ros.core.streams import NANOSECONDS
 
-#: A block is complete at this part of its duration, so that jitter does not add a sample.
+#: A block is complete at this part of its duration, so that jitter adds no sample.
 _COMPLETE = 0.95
 #: The probe holds while the compression changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
@@ -44,8 +44,8 @@ class Means(NamedTuple):
 class BlockSums:
     """Sums over the samples of a block, and when it is complete.
 
-    A block is complete after a `duration` [s], or when the `compression` [1] has changed by more
-    within.
+    A block is complete after a `duration` [s], or when the `compression` [1] within it has
+    changed by more.
     """
 
     def __init__(self, duration: float, compression: float) -> None:
@@ -77,7 +77,7 @@ class BlockSums:
         return True
 
     def take(self, sample: ContactSample) -> bool:
-        """Take a sample; return whether the block is complete."""
+        """Add a sample; return whether the block is complete."""
         if self._count == 0:
             self._start_ns, self._start_compression = sample.stamp_ns, sample.compression
             self._first_step = sample.step
@@ -116,7 +116,7 @@ class PhaseMeter:
         self._recent: deque[tuple[int, float]] = deque(maxlen=10)
 
     def add(self, stamp_ns: int, compression: float) -> Phase:
-        """Take the mean compression of a block that ended at `stamp_ns`; return the phase."""
+        """Add the mean compression of a block that ended at `stamp_ns`; return the phase."""
         recent = self._recent
         recent.append((stamp_ns, compression))
         elapsed_ns = stamp_ns - recent[0][0]

@@ -22,9 +22,9 @@ from fden_ros.core.parameter import parameter
 from fden_ros.core.plausibility import PlausibilityConfig
 from fden_ros.core.streams import SynchronizeConfig
 
-#: Two touches this part of the probe's radius apart [1] are of two sites, which share most of
-#: their tissue but not its memory: so a scan of 3 mm has a site at each touch. Positions are known
-#: to half a millimetre [m] or better.
+#: Touches farther apart than this part of the probe's radius [1] belong to two sites. These share
+#: most of their tissue but not its memory: a scan of 3 mm has a site at each touch. Positions are
+#: known to half a millimetre [m] or better.
 _SITE_PART, _LEAST_SITE, _LARGEST_SITE = 0.2, 5e-4, 2e-3
 
 
@@ -34,7 +34,7 @@ class PipelineConfig:
 
     library: TissueLibrary | None  #: tissues to classify into; None: nothing is classified
     #: From force and displacement to stress and strain. It must be stated: with the default
-    #: nothing is converged.
+    #: no estimate converges.
     geometry: Geometry = field(default_factory=lambda: GeometryConfig().build())
     synchronize: SynchronizeConfig = field(default_factory=SynchronizeConfig)
     plausibility: PlausibilityConfig = field(default_factory=PlausibilityConfig)
@@ -48,7 +48,7 @@ class PipelineConfig:
     origin_displacement: float = parameter(
         "origin.displacement",
         0.0,
-        "Displacement at zero strain where it is given.",
+        "Displacement at zero strain, if origin.source is given.",
         "m",
         -10.0,
         10.0,
@@ -57,7 +57,7 @@ class PipelineConfig:
         "contact.mode",
         "touch",
         "touch: contacts begin in the air, with G and Gn; continuous: the probe stays on the "
-        "tissue and palpates, and dF/dd along its path is found.",
+        "tissue and palpates, and dF/dd along its path is estimated.",
         choices=("touch", "continuous"),
     )
     contact: ContactConfig = field(default_factory=ContactConfig)
@@ -83,8 +83,8 @@ class PipelineConfig:
     classification: str = parameter(
         "classification.mode",
         "library",
-        "Classify by the tissues of the library, or by how much stiffer each site is than earlier "
-        "ones around it.",
+        "Classify by the tissues of the library, or by the ratio of each site's stiffness to "
+        "that of earlier sites around it.",
         choices=("library", "relative"),
     )
     decision: DecisionConfig = field(default_factory=DecisionConfig)
@@ -97,7 +97,7 @@ class PipelineConfig:
 
     @property
     def is_continuous(self) -> bool:
-        """Whether the probe stays on the tissue and palpates, so that no touch is looked for."""
+        """Whether the probe stays on the tissue and palpates: no touch is detected."""
         return self.mode == "continuous"
 
     @functools.cached_property
@@ -108,9 +108,9 @@ class PipelineConfig:
 
     @property
     def dither_frequencies(self) -> tuple[float, ...]:
-        """Frequencies of the probe's oscillation [Hz], ascending; empty: there is none.
+        """Frequencies of the probe's oscillation [Hz], ascending; empty: none.
 
-        Of a continuous palpation they are its own, empty: found.
+        A continuous palpation has its own; empty: detected.
         """
         return tuple(sorted({f for f in self.stated_frequencies if f > 0.0}))
 

@@ -34,7 +34,7 @@ from fden_ros.core.strokes import Strokes
 class ContactSession:
     """One press after the other.
 
-    `path_noise` returns the noise of the motion so far [m^2 s]; `flags` stand against every
+    `path_noise` returns the noise of the motion so far [m^2 s]; `flags` apply to every
     estimate.
     """
 
@@ -62,7 +62,7 @@ class ContactSession:
         prepare(config)
 
     def forget(self, *, keeps_contact: bool = False) -> None:
-        """Forget what was learned, and the air's force; ids are kept.
+        """Reset the sites, and the air's force; ids are kept.
 
         `keeps_contact`: a detector in contact waits for the release, and keeps the air's force
         until there is air again.
@@ -98,7 +98,7 @@ class ContactSession:
 
     @property
     def air_events(self) -> tuple[int, int, bool]:
-        """As :func:`~fden_ros.core.input_warnings.input_warnings` takes them."""
+        """As :func:`~fden_ros.core.input_warnings.input_warnings` expects them."""
         detector = self._detector
         if detector.inertial:  # which makes the force rise and fall in the air
             return 0, 0, detector.has_seen_air
@@ -106,7 +106,7 @@ class ContactSession:
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd about the contacts, in words, and how often."""
+        """What was odd about the contacts, in words, with counts."""
         strokes, detector = self._strokes, self._detector
         inertia = (
             f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "
@@ -121,7 +121,7 @@ class ContactSession:
 
     @property
     def never_lifts(self) -> bool:
-        """Whether the probe palpates without lifting, so that its contacts are none."""
+        """Whether the probe palpates without lifting, so that its contacts do not count."""
         return self._strokes.prevails
 
     def force_ahead(self, times: Array, displacements: Array) -> tuple[Array, Array] | None:
@@ -130,19 +130,19 @@ class ContactSession:
         return site.force_ahead(times, displacements) if site is not None else None
 
     def withdraw(self, flag: Flag) -> None:
-        """Say nothing more of the tissue under the probe, for the reason of a flag."""
+        """Give no more estimates of the tissue under the probe, for the reason of a flag."""
         if self._contact is not None and self._contact.state.is_open:
             self._contact.site.withdraw(flag)
 
     def zero(self) -> float | str:
-        """Measure the force in the air anew; return what it was [N], or why it is not known."""
+        """Measure the force in the air anew; return its old value [N], or the refusal."""
         mean = self._detector.mean_air_force()
         if mean is None:
             if self._detector.in_contact:
                 return "the probe is in contact: lift it, then tare"
             return "no force has been measured in the air yet: wait for samples, then tare"
         self._detector.reset()
-        # The air from now on has another bias than that before the last contact.
+        # From now on the air has another bias than before the last contact.
         if self._contact is not None:
             self._contact.drop_air()
         return mean
@@ -150,7 +150,7 @@ class ContactSession:
     # Pairs
 
     def take(self, pair: Pair) -> Iterator[Output]:
-        """Take a pair; give what comes of it."""
+        """Add a pair; yield its outputs."""
         event, contact = self._detect(pair), self._contact
         self._strokes.add(pair, in_contact=self._detector.in_contact)
         if isinstance(event, Onset):
@@ -186,7 +186,7 @@ class ContactSession:
         yield from self._contact.begin(self._path_noise(), before)
 
     def _hover(self, pair: Pair) -> Iterator[Output]:
-        """Take a pair in the air; give a state per duration of a block, and what is due."""
+        """Add a pair in the air; yield a state per block duration, and summaries that are due."""
         contact, stamp_ns = self._contact, pair.stamp_ns
         yield from self._lead(lambda contact: contact.hover(pair))
         if self._common.sums.passes(stamp_ns):
@@ -211,7 +211,7 @@ class ContactSession:
         )
 
     def _lead(self, step: Callable[[Contact], Iterable[Output]]) -> Iterator[Output]:
-        """Lead the contact on; give what comes of it."""
+        """Continue the contact; yield its outputs."""
         if self._contact is not None:
             yield from step(self._contact)
 
@@ -227,21 +227,21 @@ class ContactSession:
             self._sites.drop()
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
-        """Take note that samples are missing since a stamp.
+        """Handle samples missing since a stamp.
 
-        `is_long`: the memory of the site is lost; the present contact says nothing more.
+        `is_long`: the memory of the site is lost; the present contact gives no more estimates.
         """
         if is_long:
             self._strokes.forget()
         yield from self._lead(lambda contact: contact.see_gap(before_ns, is_long=is_long))
 
     def break_off(self, stamp_ns: int) -> Iterator[Output]:
-        """Give the summary of a contact whose samples end at a stamp."""
+        """Yield the summary of a contact whose samples end at a stamp."""
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.interrupt(stamp_ns))
 
     def finish(self, stamp_ns: int) -> Iterator[Output]:
-        """Give what is left to say where no more samples come."""
+        """Yield the remaining outputs when no more samples come."""
         yield from self.break_off(stamp_ns)
         yield from self._lead(lambda contact: contact.judge(stamp_ns))
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A probe that stays on the tissue: what its palpation tells of each place on its path.
+"""A probe that stays on the tissue: the stiffness of each place on the path of its palpation.
 
-Where it touched and what the tissue went through before is not known, so there is no strain, and
-no G. What an oscillation of the probe tells needs none: the stiffness dF/dd at its frequency,
-alpha by its phase, and with a flat geometry the complex modulus. The trend of each window takes up
+The contact point and the tissue's history are not known, so there is no strain, and no G. An
+oscillation of the probe needs neither: it shows the stiffness dF/dd at its frequency, alpha by its
+phase, and with a flat geometry the complex modulus. The trend of each window absorbs
 the bias of the force, relaxation, drift and the height of the surface.
 
 A *place* ends when the probe has moved on by `site_distance` to the side; each is a site with one
@@ -51,7 +51,7 @@ class _MeanPosition:
         self._sum, self._count, self._is_known = (0.0, 0.0, 0.0), 0, True
 
     def add(self, position: Position | None) -> None:
-        """Take a position [m]."""
+        """Add a position [m]."""
         if position is None:
             self._is_known = False
             return
@@ -61,7 +61,7 @@ class _MeanPosition:
 
     @property
     def value(self) -> Position | None:
-        """The mean [m]; None where one is not known."""
+        """The mean [m]; None where a position is not known."""
         if not (self._is_known and self._count):
             return None
         x, y, z = (value / self._count for value in self._sum)
@@ -88,7 +88,7 @@ class Window(Stretch):
     """The samples of one window of the palpation."""
 
     def take(self, pair: Pair) -> None:
-        """Take a sample."""
+        """Add a sample."""
         self._add(pair.stamp_ns, 1, pair.force, pair.position)
 
 
@@ -104,7 +104,7 @@ class Place(Stretch):
         self.found: Palpated | None = None
 
     def take(self, window: Window, found: Palpated | None) -> None:
-        """Take a window of this place."""
+        """Add a window of this place."""
         self._add(window.end_ns, window.samples, window.max_force, window.position.value)
         self.found = found if found is not None else self.found
 
@@ -112,7 +112,7 @@ class Place(Stretch):
 class ContinuousSession:
     """From pairs to states, moduli and one summary a place."""
 
-    #: No touch is looked for.
+    #: No touch is detected.
     in_contact = never_lifts = False
     air_events = (0, 0, False)
     surface = (math.nan, 0.0)
@@ -128,10 +128,10 @@ class ContinuousSession:
         self.forget()
 
     def withdraw(self, flag: Flag) -> None:
-        """Let it stand: no contact is known."""
+        """Do nothing: no contact is known."""
 
     def forget(self, *, keeps_contact: bool = False) -> None:
-        """Forget all but the numbers of the places."""
+        """Reset all but the numbers of the places."""
         self._blocks = BlockSums(self._config.block_duration, math.inf)
         self._has_found = False
         self._elapsed = 0.0
@@ -168,7 +168,7 @@ class ContinuousSession:
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd, in words, and how often."""
+        """What was odd, in words, with counts."""
         is_silent = self._elapsed > _SILENT_TIME and not self._has_found
         counts = {
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
@@ -183,7 +183,7 @@ class ContinuousSession:
     # Samples
 
     def take(self, pair: Pair) -> list[Output]:
-        """Take a pair; return what comes of it."""
+        """Add a pair; return its outputs."""
         if self._start_ns is None:
             self._start_ns = pair.stamp_ns
             self._blocks.restart(pair.stamp_ns)
@@ -216,7 +216,7 @@ class ContinuousSession:
     # Places
 
     def _follow(self, window: Window, found: Palpated | None, stamp_ns: int) -> list[Output]:
-        """Give a window to its place; return the summary of one that the probe has left."""
+        """Add a window to its place; return the summary of a place that the probe has left."""
         outputs: list[Output] = []
         place, position = self._place, window.position.value
         if place is None or self._is_elsewhere(place, position):
@@ -238,7 +238,7 @@ class ContinuousSession:
         return [self._summary(place, stamp_ns, complete)] if place is not None else []
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> list[Output]:
-        """Take note that samples are missing since a stamp; a long gap ends the place."""
+        """Handle samples missing since a stamp; a long gap ends the place."""
         if is_long:
             return self.break_off(before_ns)
         self._meter.skip()
@@ -282,7 +282,7 @@ class ContinuousSession:
     def _modulus(
         self, window: Window, modulus: ComplexModulus, stiffness: Stiffness, stamp_ns: int
     ) -> DynamicModulus:
-        """Return k as a modulus: with the deviation of the filter, and of the thickness."""
+        """Return k as a modulus, with the deviation of the filter and of the thickness."""
         scale = self._modulus_per_stiffness
         thickness_sd = self._config.estimator.uncertainty.thickness_sd * abs(stiffness.value)
         variance = float(stiffness.covariance.diagonal().max()) + thickness_sd**2

@@ -19,7 +19,7 @@ _BLOCK_NS = 100_000_000
 
 
 class Direction:
-    """Whether the force grows or falls from where it began, and whether the motion goes with it.
+    """Whether the force grows or falls from its first value, and whether with the motion.
 
     A contact only pushes: most of the force lies on one side of its first value.
     """
@@ -28,11 +28,11 @@ class Direction:
         self._block: list[Pair] = []
         self._first: float | None = None
         self._last = 0.0, 0.0
-        self._force = 0.0  #: sum of signed squares of the force against its first value [N^2]
+        self._force = 0.0  #: sum of signed squares of the force less its first value [N^2]
         self._together = 0.0  #: sum of the products of their changes [N m]
 
     def add(self, pair: Pair) -> None:
-        """Take a pair, in order of time."""
+        """Add a pair, in order of time."""
         block = self._block
         if block and not 0 <= pair.stamp_ns - block[0].stamp_ns <= _BLOCK_NS:
             force, displacement = (
@@ -51,7 +51,7 @@ class Direction:
 
     @property
     def is_right(self) -> bool:
-        """Whether the signs are as they have to be: the force grows, and the displacement too."""
+        """Whether the signs are right: the force grows with the displacement."""
         return self._force > 0.0 and self._together >= 0.0
 
     @property
@@ -72,13 +72,13 @@ def input_warnings(
     rejected: Mapping[str, int],
     clock_jumps: int,
 ) -> dict[str, int]:
-    """Return what was odd about the samples, in words, and how often.
+    """Return what was odd about the samples, in words, with counts.
 
     `air_events`: how often the force fell below its value in the air, how often it rose without a
     contact, and whether there was air at all. `rejected`: counts of ``"<stream>.<reason>"``.
     """
     falls, rises, has_air = air_events
-    # A force of the wrong sign rises too, as it comes back: the sign comes first.
+    # A force of the wrong sign also rises, when it returns: the sign comes first.
     is_sign = not falls and direction.cause == "displacement sign"
     counts = {
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,

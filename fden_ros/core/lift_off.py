@@ -13,12 +13,12 @@ import numpy as np
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import Geometry, StressMemory, apparent_stiffness_factor, elastic_responses
 
-#: Multiple of the release force beyond which the probe meets the tissue; it leaves it below 1,
+#: The probe meets the tissue above this multiple of the release force and leaves it below 1,
 #: so that noise does neither.
 _CLEAR = 2.0
-#: A probe has moved back, or in again, when it has by this part of its compression.
+#: A probe has moved back, or in again, by at least this part of its compression.
 _RETREAT = 0.02
-#: And its contact shrinks, where it is round, when it has by this part of the deepest compression.
+#: The contact of a round probe shrinks after a retract by this part of the deepest compression.
 _SHRINKING = 0.05
 
 
@@ -51,8 +51,8 @@ class KnownTissue(NamedTuple):
 class LiftOff:
     """Follows one contact.
 
-    The first touch of a site says where the origin is, so there the law holds from the origin on;
-    later ones meet a surface that still recovers.
+    The first touch of a site shows the origin, so the law holds from the origin on. Later touches
+    meet a surface that still recovers.
 
     The probe is no longer pressing below `release_force` [N]; `is_first`: of the site.
     """
@@ -63,16 +63,16 @@ class LiftOff:
         self._is_untouched = is_first
         self._is_free = True
         self._deepest = 0.0
-        #: Least compression since the tissue let go of the probe.
+        #: Least compression since the lift-off.
         self._lowest = math.inf
-        #: Compression and force of the newest sample whose force noise does not make, the time
+        #: Compression and force of the newest sample whose force exceeds the noise, the time
         #: since, and the compression at which the tissue stayed behind.
         self._pressed: tuple[float, float] | None = None
         self._since_pressed = 0.0
         self._left_at: float | None = None
 
     def see_mean(self, force: float) -> None:
-        """Take the mean force of a block [N]: from a clear one on the first touch is over."""
+        """Add the mean force of a block [N]: a clear one ends the first touch."""
         self._is_untouched &= force <= self._clear
 
     def is_free(
@@ -80,14 +80,14 @@ class LiftOff:
     ) -> bool:
         """Whether the tissue has left the probe, or has not met it yet, at the next sample.
 
-        `known`: None where the law does not say where the surface is.
+        `known`: None where the law does not give the surface.
         """
         hidden = 2.0 * self._clear if self._is_free else self._clear
         self._since_pressed += step
         if self._is_untouched:
             self._is_free = False
         elif step > 0.0 and known is not None and abs(force) <= hidden:
-            # Where noise hides the force, the law says where the surface is.
+            # Where noise hides the force, the law gives the surface.
             self._is_free = self._is_hidden_free(step, compression, known)
         elif self._is_free:
             self._is_free = force <= self._clear
@@ -102,19 +102,19 @@ class LiftOff:
     def is_shrinking(self, compression: float) -> bool:
         """Whether the probe has moved back from the deepest.
 
-        Under a round one tissue comes off at the rim, before the force is none. Hertz's relation,
-        and so the law, holds while the contact grows (T. C. T. Ting, Journal of Applied Mechanics
-        33, 845, 1966): by that of a retract G was 20 % off.
+        Under a round probe tissue comes off at the rim before the force vanishes. Hertz's
+        relation, and so the law, holds while the contact grows (T. C. T. Ting, Journal of Applied
+        Mechanics 33, 845, 1966): with the retract G was 20 % off.
         """
         return compression < (1.0 - _SHRINKING) * self._deepest
 
     def _is_hidden_free(self, step: float, compression: float, known: KnownTissue) -> bool:
-        """Whether the law says that the tissue is off the probe, where noise hides the force.
+        """Whether, by the law, the tissue is off the probe where noise hides the force.
 
-        It knows the stress to a few standard deviations of the noise, not to none: near the
-        surface it would change its mind from sample to sample, and each time the memory would take
-        what noise makes for a touch or a release. So the probe has to move on: back since the last
-        force that noise does not make, or in again since the tissue let go.
+        The law gives the stress to a few standard deviations of the noise. Near the surface its
+        answer would alternate from sample to sample, and each time the memory would take noise for
+        a touch or a release. So the probe has to move: back since the last force above the noise,
+        or in again since the lift-off.
         """
         if self._is_free and not self._has_returned(compression):
             return True
@@ -124,14 +124,14 @@ class LiftOff:
         return is_settled and known.is_above_surface(step, compression)
 
     def _has_returned(self, compression: float) -> bool:
-        """Whether the probe has moved in again since the tissue let go of it."""
+        """Whether the probe has moved in again since the lift-off."""
         return compression > self._lowest + _RETREAT * abs(self._lowest)
 
     def _has_retreated(self, compression: float) -> bool:
-        """Whether the probe has moved back since a force that noise does not make.
+        """Whether the probe has moved back since a force above the noise.
 
-        Tissue leaves no probe that holds still; to drop the samples of a hold that noise makes
-        small would leave those that it makes large.
+        Tissue does not leave a probe that holds still. To drop those samples of a hold that noise
+        makes small would bias the mean.
         """
         if self._pressed is None:
             return True
@@ -139,10 +139,10 @@ class LiftOff:
         return compression < before - _RETREAT * abs(before)
 
     def _is_left_behind(self, compression: float, known: KnownTissue) -> bool:
-        """Whether the tissue would pull, from the last force that noise does not make.
+        """Whether the tissue would pull, from the last force above the noise on.
 
-        The law of that motion alone says where the tissue stays behind; by the whole past a
-        stiffness one percent too low finds the surface two percent of the depth too far out.
+        The law of that motion alone gives the point where the tissue stays behind: with the whole
+        past, a stiffness 1 % too low puts the surface 2 % of the depth too far out.
         """
         if self._pressed is None:
             return False

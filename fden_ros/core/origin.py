@@ -15,10 +15,10 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import Onset
 from fden_ros.core.streams import Pair
 
-#: The surface found at the touch starts the estimator; its standard deviation is multiplied by
-#: this, since the estimator sees those samples again.
+#: The surface found at the touch starts the estimator. Its standard deviation is multiplied by
+#: this, since the estimator uses those samples again.
 ORIGIN_WIDENING = 3.0
-#: The force where a touch is found is the mean of this number of samples.
+#: The force at a touch is the mean of this number of samples.
 _DETECTED = 3
 
 
@@ -31,16 +31,16 @@ def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
 
 
 def found_sd(onset: Onset, config: PipelineConfig) -> float:
-    """Return the deviation of the origin where the touch shows it, as compression [1]."""
+    """Return the deviation of the contact point that the touch shows, as compression [1]."""
     return ORIGIN_WIDENING * onset.displacement_sd / config.geometry.length
 
 
 def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
-    """Return how much deeper than a line says a probe may be where the force is found first [1].
+    """Return how much deeper than a line shows the probe may be at the first force [1].
 
-    Where the force rises out of the noise beyond the boundary strain 1/Gn only, a line finds the
-    surface by ln(stress Gn/G)/Gn of strain too late: the root of its mean square, for a G of the
-    prior and where it is positive, as compression.
+    Where the force exceeds the noise beyond the boundary strain 1/Gn only, a line finds the
+    surface too late, by ln(stress Gn/G)/Gn of strain. This is the root of its mean square over
+    the prior of G where it is positive, as compression.
     """
     if onset.shows_surface:
         return 0.0
@@ -57,7 +57,7 @@ def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
 
 
 def begins_at_origin(pair: Pair, config: PipelineConfig) -> bool:
-    """Whether the origin is given and a sample is there, so that no press came before it."""
+    """Whether the origin is given and a sample exists, so that no press came before it."""
     if config.contact_point is None:
         return False
     compression = (pair.displacement - config.contact_point) / config.geometry.length

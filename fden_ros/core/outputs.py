@@ -46,7 +46,7 @@ class Phase(enum.IntEnum):
 
 
 class Flag(enum.IntFlag):
-    """What to know beside the status."""
+    """What qualifies a state, besides its status."""
 
     NONE = 0
     INPUT_REJECTED = 1
@@ -64,7 +64,7 @@ class Flag(enum.IntFlag):
     ALPHA_PRIOR_CONFLICT = 4096
 
 
-#: With one of these no estimate is converged, whatever the data say.
+#: With one of these flags no estimate converges, whatever the data.
 WITHHELD = Flag.GEOMETRY_UNSTATED | Flag.IMPLAUSIBLE
 
 
@@ -101,13 +101,13 @@ class TissueState:
     signals: Signals | None = None
     innovation: Innovation | None = None
     apparent_stiffness: ApparentStiffness | None = None
-    lag: float = 0.0  #: from sample to estimate [s], as whoever has a clock states it
+    lag: float = 0.0  #: from sample to estimate [s], set by a caller that has a clock
     measured: Slopes = NOT_MEASURED  #: the newest slopes of force over displacement
 
 
 @dataclass(frozen=True)
 class Classification:
-    """Which tissue it is, as far as can be said."""
+    """The tissue's class, as far as the data show it."""
 
     stamp_ns: int
     decision: Decision
@@ -147,16 +147,16 @@ class ContactSummary:
     apparent_stiffness: ApparentStiffness | None = None
     #: What makes the estimate uncertain where it has not converged.
     budget: Budget | None = None
-    #: Slopes of force over displacement where it was deepest; of a place on a path the newest.
+    #: Slopes of force over displacement at the deepest point; of a place on a path the newest.
     measured: Slopes = NOT_MEASURED
-    position_frame: str = ""  #: that `position` is in, as whoever feeds the pipeline states it
+    position_frame: str = ""  #: of `position`, as the pipeline's caller states it
 
     @property
     def is_of_path(self) -> bool:
         """Whether it is a place on the path of a continuous contact whose stiffness is known."""
         if self.apparent_stiffness is None or Flag.TOUCH_NOT_OBSERVED not in self.flags:
             return False
-        # Along a path G is never determined, Gn at times; a press begun unseen may have it.
+        # Along a path G is never determined, Gn sometimes; a press begun unseen may have it.
         estimate = self.estimate
         return estimate is None or not estimate.observable & ParameterSet.LINEAR_STIFFNESS
 
@@ -164,7 +164,7 @@ class ContactSummary:
 def is_path(summaries: Sequence[ContactSummary]) -> bool:
     """Return whether contacts are places on a path: their stiffness is known, no touch was seen.
 
-    Where one was seen, one that began unseen is a contact beside it.
+    Where a touch was seen, a contact that began unseen is an ordinary contact.
     """
     return any(summary.is_of_path for summary in summaries) and all(
         Flag.TOUCH_NOT_OBSERVED in summary.flags for summary in summaries
@@ -203,7 +203,7 @@ Output = TissueState | Classification | ContactSummary | DynamicModulus
 def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
     """Return `state` as no longer current, with nothing in it to act on.
 
-    None: there was none yet; the stamp then is 0, and the flags are `flags`.
+    None: there was none yet; the stamp is then 0, and the flags are `flags`.
     """
     if state is None:
         return TissueState(0, Status.STALE, flags, site_id=0, contact_id=0, phase=Phase.NONE)
@@ -232,7 +232,7 @@ def late(state: TissueState, deadline: float) -> TissueState:
 
 
 def placed(output: Output, frame: str) -> Output:
-    """Return an output with the frame that its position, if it has one, is in."""
+    """Return an output with the frame of its position, if it has one."""
     if not isinstance(output, ContactSummary) or output.position is None:
         return output
     return replace(output, position_frame=frame)

@@ -24,9 +24,9 @@ again on it.
 **Memory.** The relaxation kernel is a sum of exponentials (:mod:`fden_ros.core.law.relaxation`):
 the past of a node is one number a rate.
 
-Law errors, compliance and delay are not modelled: they raise chi squared, and above
-:data:`MOST_CHI_SQUARED` nothing is claimed. Those below the noise do not show, so nothing is
-claimed either unless law and rig are stated to be exact, but for the thickness.
+Law errors, compliance and delay are not modelled. They raise chi squared, and above
+:data:`MOST_CHI_SQUARED` nothing is claimed. Errors below the noise do not show, so a claim also
+requires that law and rig are stated to be exact, except for the thickness.
 """
 
 from __future__ import annotations
@@ -61,15 +61,15 @@ from fden_ros.core.law import (
     relaxation_weights,
 )
 
-#: Chi squared per block [1] above which law, rig or noise are not as the filter has them.
+#: Chi squared per block [1] above which law, rig or noise differ from the filter's model.
 MOST_CHI_SQUARED = 1.5
 #: Nodes on each side of the middle of an axis, and the step of a new grid in deviations of the
 #: posterior [1]: it covers 3.2 of them, and serves until they have shrunk to `_NARROW` steps.
 _SIDE, _STEP, _NARROW = 4, 0.8, 0.6
-#: Nodes that must count, 1 / sum w^2, and the most weight of the outermost [1]; else a new grid.
+#: Nodes that must count, 1 / sum w^2, and the most weight of the outermost [1].
 _COUNTING, _EDGE = 4.0, 0.03
-#: Variance of the posterior in squared steps as far as it is believed: least, and most where the
-#: grid is to become narrower, or wider.
+#: Variance of the posterior in squared steps, clipped: least, and most where the grid is to become
+#: narrower, or wider.
 _LEAST, _NARROWER, _WIDER = 0.05, (0.5 / _STEP) ** 2, (1.7 / _STEP) ** 2
 #: Furthest centre of a grid from the prior's, in deviations of it [1].
 _FURTHEST = 3.5
@@ -81,16 +81,16 @@ _MOST_RUNS = 4.0
 _EVERY = 5  #: blocks after which the grid is looked at
 _LEAST_BIAS = 1e-6  #: variance of a known bias over that of the noise [1]
 _CAPACITY = 600  #: blocks that are kept of a contact; after them the grid stays
-_OUTSIDE = 5.0  #: deviations of the contact point before it from which on the way counts [1]
-_WAY = 12  #: points of that way at most
+_OUTSIDE = 5.0  #: deviations before the contact point at which the approach begins [1]
+_WAY = 12  #: most points of the approach
 _POINTS = 4  #: points of the motion in a block at most
 _SHALLOW = 1e-3  #: least compression at which the noise of the motion counts [1]
-#: Relative deviation of what the response of a block misses [1].
+#: Relative deviation of the model error of a block's response [1].
 _ERROR = 2e-4
 
 
 class _Step(NamedTuple):
-    """The exponential memory over one block of piecewise linear motion: what holds for all nodes.
+    """The exponential memory over one block of piecewise linear motion, the same for all nodes.
 
     Of c points, with shares of the block's samples.
     """
@@ -98,7 +98,7 @@ class _Step(NamedTuple):
     compressions: Array  #: of the points [1], shape (c,)
     shares: Array  #: of the samples, shape (c,)
     by_memory: Array  #: of the mean response, by memory before, shape (RATE_COUNT,)
-    by_rise: Array  #: and by what p rises up to each point, shape (c, RATE_COUNT)
+    by_rise: Array  #: and by the rise of p up to each point, shape (c, RATE_COUNT)
     by_rate: Array  #: and by that over the time it took [1/s], shape (c,)
     left: Array  #: of the memory after the block, shape (RATE_COUNT,)
     gained: Array  #: by it from each rise, shape (c, RATE_COUNT)
@@ -130,7 +130,7 @@ class _Bank(InformationFilter):
         self.count = 0
 
     def update(self, z: float, R: float, response: Array) -> None:
-        """Take one block, H = (response, 1): P^-1 <- P^-1 + H'H/R, P^-1 x <- P^-1 x + H'z/R."""
+        """Add one block, H = (response, 1): P^-1 <- P^-1 + H'H/R, P^-1 x <- P^-1 x + H'z/R."""
         weighed = response / R
         self._g += weighed * response
         self._gb += weighed
@@ -182,7 +182,7 @@ class _Grid:
         self.is_outer = ((np.abs(self.z) == width) & (width > 0.0)).any(axis=1)
 
     def observe(self, stress: float, noise: float, response: Array) -> None:
-        """Take the mean stress of a block [Pa], its variance and the response of each node."""
+        """Add the mean stress of a block [Pa], its variance and the response of each node."""
         self.bank.update(stress, noise, response)
         new: tuple[Any, ...] = 1.0, stress, response
         self._run = [one + own / noise for one, own in zip(self._run, new, strict=True)]
@@ -207,7 +207,7 @@ class _Grid:
         self._p = self.responses(np.array(compression))
 
     def respond(self, step: _Step, p: Array) -> Array:
-        """Pass a block, with p (c, nodes) at its points; return the mean response r of each."""
+        """Add a block, with p (c, nodes) at its points; return the mean response r of each."""
         rises = p - np.concatenate([self._p[None], p[:-1]])
         kernels, count = self._kernels, self.slices
         memory = self._memory.reshape(count, -1, RATE_COUNT)
@@ -223,7 +223,7 @@ class _Grid:
 
 
 class _Weighed(NamedTuple):
-    """What the nodes of a grid say, each of shape (nodes,)."""
+    """The results of a grid's nodes, each of shape (nodes,)."""
 
     weights: Array  #: they add up to 1
     log_weights: Array
@@ -237,7 +237,7 @@ class _Weighed(NamedTuple):
 class PaperFilter(Estimator):
     """The paper's filter of one site: of its first contact, up to the lift-off.
 
-    A later contact meets tissue that still recovers: of it nothing is claimed.
+    It claims nothing of a later contact, which meets tissue that still recovers.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ class PaperFilter(Estimator):
     # Samples
 
     def touch(self, onset: Touch, pause: float) -> None:
-        """Begin with the way of the probe, as far back as the touch may have been."""
+        """Begin with the approach, as far back as the touch may have been."""
         self._contact_count += 1
         self._is_over = self._contact_count > 1
         self.innovation = None
@@ -324,7 +324,7 @@ class PaperFilter(Estimator):
         stress: Sequence[float],
         on_tissue: Sequence[bool],
     ) -> Estimate:
-        """Take a block up to the lift-off; see :meth:`~.estimation.Estimator.add`."""
+        """Add a block up to the lift-off; see :meth:`~.estimation.Estimator.add`."""
         self._is_over |= not all(on_tissue)
         self.innovation = None
         if not self._is_over:
@@ -341,7 +341,7 @@ class PaperFilter(Estimator):
         return self.estimate()
 
     def _pass(self, times: Array, places: Array, stress: float) -> CellInnovation:
-        """Take the motion of a block and its mean stress [Pa]."""
+        """Add the motion of a block and its mean stress [Pa]."""
         grid, before = self._grid, self._weighed
         step = self._step_of(times, places)
         p = grid.responses(step.compressions)
@@ -369,8 +369,8 @@ class PaperFilter(Estimator):
     def _missed(self, times: Array, places: Array, stress: float) -> float:
         """Return the variance of a block's stress by the noise of the motion and the response.
 
-        The stress goes with the motion by the larger of Gn and 1 / x, and what is fast has
-        relaxed less.
+        The stress follows the motion by the larger of Gn and 1 / x, and fast motion has relaxed
+        less.
         """
         order, log_gn, origin = self._weighed.weights @ self._grid.theta
         depth = max(float(places.mean() - origin), _SHALLOW)
@@ -408,10 +408,10 @@ class PaperFilter(Estimator):
         self._weighed = self._weigh()
 
     def _weigh(self) -> _Weighed:
-        """Return what the nodes say, with the prior of ln G."""
+        """Return the nodes' results, with the prior of ln G."""
         grid = self._grid
         g, bias, g_variance, bias_variance, chi2, log_weights = grid.bank.solve()
-        # Where nothing is known of G yet, the prior decides.
+        # While G is unknown, the prior decides.
         at = np.maximum(g, np.sqrt(g_variance))
         mean, variance, prior_variance = np.log(at), g_variance / at**2, self._log_g_sd**2
         total, off = variance + prior_variance, self._log_g - mean
@@ -448,7 +448,7 @@ class PaperFilter(Estimator):
             )
             if self._is_settled:
                 return
-            # Around one node that counts narrower each time, unless it lies at the edge.
+            # Around a single node that counts: narrower each time, unless it lies at the edge.
             most = _NARROWER if is_few and not grid.is_outer[best] else _WIDER
             root = np.zeros((3, 3))
             root[wide] = np.linalg.cholesky((vectors * np.clip(values, _LEAST, most)) @ vectors.T)

@@ -3,8 +3,8 @@
 
 """A parameter is declared once: as the field of the configuration that uses it.
 
-The field's metadata holds what a user is told of it. Parameter files, their checks, the node's
-declarations and the configuration itself follow from it, by
+The field's metadata holds what a user sees of it. Parameter files, their checks, the node's
+declarations and the configuration itself are derived from it by
 :mod:`fden_ros.parameters`.
 """
 
@@ -48,9 +48,9 @@ def parameter(
     choices : tuple of str
         What a text may be; empty: anything.
     may_be_zero : bool
-        A number may be 0 beside its range, a vector all 0.
+        A number may be 0 outside its range, a vector all 0.
     most : int
-        How many numbers a list may have; 0: it is a vector of three.
+        Largest length of a list; 0: it is a vector of three.
     """
     if isinstance(default, enum.Enum):
         choices = tuple(member.value for member in type(default))

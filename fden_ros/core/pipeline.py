@@ -60,10 +60,10 @@ class Pipeline:
         self.pair_count = 0  #: pairs so far
         self.newest_ns = 0  #: stamp of the newest pair
         #: The newest exceptions of the computation. Each ended one contact and its site, both
-        #: flagged :attr:`Flag.ESTIMATION_FAILED`; the next site begins afresh.
+        #: flagged :attr:`Flag.ESTIMATION_FAILED`; the next site starts anew.
         self.failures: deque[Failure] = deque(maxlen=20)
         self.failure_count = 0  #: how many there were
-        #: What stands against every estimate from the start, a sentence each, and its flags.
+        #: Problems with every estimate from the start, a sentence each, and their flags.
         self.problems, self.standing_flags = _problems(config)
         self._clock_jumps = 0
         self._tare_offset = 0.0
@@ -73,7 +73,7 @@ class Pipeline:
         self._direction = Direction()
         self._measured = MeasuredSlopes(config)
         self._emit = emit
-        self._raised: Exception | None = None  # by the listener
+        self._raised: Exception | None = None  # by the listener to the outputs
         self._restart_streams()
         self._session: ContactSession | ContinuousSession
         if config.is_continuous:
@@ -96,7 +96,7 @@ class Pipeline:
         self._epoch = 0
 
     def _path_noise(self) -> float:
-        """Return the noise of the motion so far, of the streams as they are by then."""
+        """Return the noise of the motion so far, from the streams."""
         return self._synchronizer.path_noise()
 
     @property
@@ -139,12 +139,12 @@ class Pipeline:
 
     @property
     def never_lifts(self) -> bool:
-        """Whether the probe palpates without lifting, so that its contacts are none."""
+        """Whether the probe palpates without lifting, so that its contacts do not count."""
         return self._session.never_lifts
 
     @property
     def is_air_doubted(self) -> bool:
-        """Whether the force fell below its value in the air, as one of the wrong sign does.
+        """Whether the force fell below its value in the air, as with the wrong sign.
 
         With the right signs it did so where a touch was not observed.
         """
@@ -153,9 +153,9 @@ class Pipeline:
     # Inputs
 
     def add_force(self, stamp_ns: int, force: float) -> None:
-        """Take a force sample [N], positive when pressing; with torsion a torque [N m]."""
+        """Add a force sample [N], positive when pressing; with torsion a torque [N m]."""
         _check(stamp_ns, force)
-        # Where frames move, the force is tared once it is in the base.
+        # Where frames move, the force is tared after its projection into the base.
         offset = 0.0 if self.config.synchronize.frames is not None else self._tare_offset
         self._feed(self._synchronizer.add_force, stamp_ns, force - offset)
 
@@ -167,7 +167,7 @@ class Pipeline:
         load: float = 0.0,
         turn: Quaternion | None = None,
     ) -> None:
-        """Take a displacement [m], positive into the tissue, and the position where known [m].
+        """Add a displacement [m], positive into the tissue, and the position where known [m].
 
         `load` is the part of the tool's weight in the force at this orientation [N], `turn` the
         probe's orientation where it advances along its own axis.
@@ -177,7 +177,7 @@ class Pipeline:
         self._feed(add, stamp_ns, displacement, position, load, turn)
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Take a force [N], or with torsion a torque [N m], in a frame that moves."""
+        """Add a force [N], or with torsion a torque [N m], in a frame that moves."""
         self._feed(self._synchronizer.add_force_vector, stamp_ns, frame, force)
 
     def add_transform(
@@ -190,7 +190,7 @@ class Pipeline:
         *,
         is_static: bool,
     ) -> None:
-        """Take where a frame is in its parent [m], and its rotation as a quaternion."""
+        """Add where a frame is in its parent [m], and its rotation as a quaternion."""
         place = Transform(translation, rotation)
         add = self._synchronizer.add_transform
         self._feed(add, stamp_ns, parent, child, place, is_static=is_static)
@@ -203,11 +203,11 @@ class Pipeline:
             self._restart_streams()
 
     def reject(self, stream: str, reason: str) -> None:
-        """Count a sample that could not even be read."""
+        """Count a sample that could not be read."""
         self.rejected[f"{stream}.{reason}"] += 1
 
     def tare(self) -> str | None:
-        """Take the present force as zero; return None, or why that cannot be done now."""
+        """Take the present force as zero; return None, or why that is not possible now."""
         zero = self._session.zero()
         if isinstance(zero, str):
             return zero
@@ -216,7 +216,7 @@ class Pipeline:
         return None
 
     def reset(self) -> str | None:
-        """Forget what was learned; return None, or why that cannot be done now."""
+        """Reset all that was learned; return None, or why that is not possible now."""
         if self._session.in_contact:
             return "the probe is in contact: lift it, then reset"
         self._put(self._session.break_off(self.newest_ns))
@@ -227,7 +227,7 @@ class Pipeline:
         return None
 
     def finish(self) -> None:
-        """No more samples come: report the contact that is still open."""
+        """End the input: report the contact that is still open."""
         try:
             self._put(self._session.finish(self.newest_ns))
         except Exception as error:
@@ -235,23 +235,23 @@ class Pipeline:
 
     @property
     def transform_problem(self) -> str:
-        """Why no force has found its transforms yet, in words; empty: there is nothing to say."""
+        """Why no force has found its transforms yet, in words; empty: no problem."""
         frames = self._synchronizer.frames
         return "" if self.pair_count or frames is None else frames.problem
 
     @property
     def is_failed(self) -> bool:
-        """Whether the newest failure is that of the present site, or came without one."""
+        """Whether the newest failure is of the present site, or of none."""
         return bool(self.failures) and self.failures[-1].site_id == self._session.place[0]
 
     @property
     def unusual_rejections(self) -> int:
-        """Rejected samples, less the first two without a partner, which are usual."""
+        """Rejected samples, without the usual first two that have no partner."""
         return unusual(self.rejected)
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd about the input, in words, and how often."""
+        """What was odd about the input, in words, with counts."""
         odd = input_warnings(
             self.config.synchronize,
             self._synchronizer,
@@ -267,7 +267,7 @@ class Pipeline:
 
     def _on_pair(self, pair: Pair) -> None:
         if self.config.synchronize.frames is not None and self._tare_offset:
-            # Only here the force is along the axis.
+            # Only here is the force along the axis.
             pair = pair._replace(force=pair.force - self._tare_offset)
         self._direction.add(pair)
         try:
@@ -297,7 +297,7 @@ class Pipeline:
             self._fail(pair.stamp_ns, error)
 
     def _put(self, outputs: Iterable[Output]) -> None:
-        """Give outputs to the listener, with what was rejected and measured by then."""
+        """Pass outputs to the listener, with the rejections and slopes so far."""
         for output in map(self._completed, outputs):
             try:
                 self._emit(output)
@@ -316,9 +316,9 @@ class Pipeline:
         return replace(output, measured=self._measured.newest)
 
     def _fail(self, stamp_ns: int, error: Exception) -> None:
-        """Take note of an exception, and end the contact and the site it came from.
+        """Record an exception, and end the contact and the site that it came from.
 
-        What the listener to the outputs raised is raised again.
+        An exception of the listener to the outputs is raised again.
         """
         if error is self._raised:
             raise error
@@ -328,7 +328,7 @@ class Pipeline:
 
 
 def _problems(config: PipelineConfig) -> tuple[tuple[str, ...], Flag]:
-    """Return what stands against every estimate, in words and as flags."""
+    """Return the problems with every estimate, in words and as flags."""
     is_stated = config.geometry.is_stated
     words = stands_against(config.geometry)
     if not words or (config.is_continuous and not is_stated):

@@ -3,8 +3,8 @@
 
 """Whether what is measured can be what its units say: m, N, s and the sizes of the geometry.
 
-A recording in mm, g or ms gives numbers that look like any others. What tissue under a probe
-cannot do is told here, with the factor that would make it plausible.
+A recording in mm, g or ms gives numbers that look like any others. This module reports values that
+no tissue under a probe has, with the factor that would make them plausible.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from fden_ros.written import written
 
 @dataclass(frozen=True)
 class PlausibilityConfig:
-    """What a contact cannot exceed, where the units are right."""
+    """Limits of a contact in the right units."""
 
     most_force: float = parameter(
         "plausibility.max_force",
         200.0,
-        "flat_punch, sphere: a contact of more force is implausible, and never converged.",
+        "flat_punch, sphere: a contact with more force is implausible, and never converges.",
         "N",
         TINY,
         1e9,
@@ -54,17 +54,17 @@ _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
 _LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
-#: Strain from which on a contact is judged before it is over, as a press likely has it: at less
-#: the origin counts.
+#: A contact is judged before its end from this strain on, which a press usually has: below it the
+#: origin matters.
 _LEAST_STRAIN = 0.05
 #: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
 #: cosine is 0.996.
 _TILTED = 0.087
-#: Samples farther apart than this are slow, and closer than this are of no force sensor [s].
+#: Samples farther apart than this are slow; no force sensor has them closer than this [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.
 _GROWTH = 1.1
-#: What is likely of a press, for a factor to be named: force [N], strain rate [1/s].
+#: Likely values of a press, to choose a factor by: force [N], strain rate [1/s].
 _LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
 _LENGTHS = {"mm": 1e-3, "mm/10": 1e-4, "cm": 1e-2, "um": 1e-6}
@@ -91,21 +91,21 @@ def stands_against(geometry: Geometry) -> str:
 
 
 class Tilt:
-    """Tells of probes that touch askew, and what it costs."""
+    """Counts touches of a tilted probe, and reports their cost."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self._largest = 0.0
-        self.count = 0  #: of the touches that were
+        self.count = 0  #: of those touches
 
     def see(self, tilt: float) -> None:
-        """Take the angle between axis and normal at a touch [rad]."""
+        """Add the angle between axis and normal at a touch [rad]."""
         self._largest = max(self._largest, tilt)
         self.count += tilt > _TILTED
 
     @property
     def words(self) -> str:
-        """What it is and costs, in one sentence."""
+        """The tilt and its cost, in one sentence."""
         cost = f"the motion along the tool counts as {math.cos(self._largest):.3f} of it in depth"
         if isinstance(self._geometry, FlatPunch):
             width = 2.0 * math.sqrt(self._geometry.area / math.pi)
@@ -133,7 +133,7 @@ class Plausibility:
 
     @property
     def found(self) -> dict[str, int]:
-        """What was implausible of contacts, the first of each kind in words, and how often."""
+        """What was implausible about contacts, the first of each kind in words, with counts."""
         return {words: self.counts[kind] for kind, words in self._words.items()}
 
     def begin(self, onset: Onset) -> None:
@@ -150,7 +150,7 @@ class Plausibility:
     ) -> bool:
         """Judge a contact by its largest strain [1], force [N] and stress [Pa] until a stamp.
 
-        Once it is implausible it is judged again only when it `is_over`, for better words.
+        An implausible one is judged again only when it `is_over`, for a better message.
         """
         if self.standing:
             return False
@@ -182,24 +182,24 @@ class Plausibility:
         if strain <= most:
             return ""
         depth, deepest = geometry.compression(strain), geometry.compression(most)
-        asked = _asked(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
-        if not asked:
+        suggested = _suggested(_LENGTHS, lambda f: geometry.strain(depth * f), _LEAST_STRAIN, most)
+        if not suggested:
             factor = 10.0 ** -math.ceil(math.log10(depth / deepest))
             then = geometry.strain(depth * factor)
-            asked = f"another unit (factor {factor:.3g}: {written(then, 2)})"
+            suggested = f"another unit (factor {factor:.3g}: {written(then, 2)})"
         return (
             f"a contact reached a strain of {written(strain, 3)}, at most {written(most, 3)} is "
-            f"plausible: is the displacement in {asked}, not m? Or is the geometry wrong?"
+            f"plausible: is the displacement in {suggested}, not m? Or is the geometry wrong?"
         )
 
     def _of_force(self, force: float) -> str:
         most = self._config.most_force
         if force <= most or self._geometry.unit != "N":
             return ""
-        asked = _asked(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
+        suggested = _suggested(_FORCES, lambda f: force * f, *_LIKELY_FORCE)
         return (
             f"a contact reached {written(force, 3)} N, more than plausibility.max_force "
-            f"({most:g} N): is the force in {asked or 'N'}? If it is that large, set "
+            f"({most:g} N): is the force in {suggested or 'N'}? If it is that large, set "
             f"plausibility.max_force to {10.0 ** math.ceil(math.log10(force)):g} in the parameter "
             "file"
         )
@@ -213,11 +213,11 @@ class Plausibility:
         least = self._config.least_strain_rate
         if self._step < _SLOW_STEP or strain >= least * elapsed:
             return ""
-        asked = _asked(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
+        suggested = _suggested(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
             f"a strain of {strain:.2g} took {written(elapsed, 3)} s, slower than "
             f"{least:g} 1/s, and samples come every {self._step:.2g} s: is the time in "
-            f"{asked or 's'}?"
+            f"{suggested or 's'}?"
         )
 
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
@@ -234,17 +234,17 @@ class Plausibility:
             return ""
         ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
         units, likely = {**_FORCES, "kN": 1e3}, (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
-        asked = _asked(units, lambda f: ratio * f, *likely, is_shown=False)
+        suggested = _suggested(units, lambda f: ratio * f, *likely, is_shown=False)
         if ratio > 1.0 and strain < _LEAST_STRAIN:
-            asked = f"{asked or 'N'}, or the displacement in m already (factor 1e3)"
+            suggested = f"{suggested or 'N'}, or the displacement in m already (factor 1e3)"
         return (
             f"the stress at a strain of {strain:.2g} is some {written(ratio, 2)} times that of "
-            f"prior.linear_stiffness: is the force in {asked or 'N'}? If not, state the prior"
+            f"prior.linear_stiffness: is the force in {suggested or 'N'}? If not, state the prior"
         )
 
 
 def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
-    """Return what is implausible of a stream, `force` or `displacement`, in words; or empty.
+    """Return what is implausible about a stream, `force` or `displacement`, in words; or empty.
 
     `limit` is that of its magnitude [N, m].
     """
@@ -282,7 +282,7 @@ def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
     return low, high
 
 
-def _asked(
+def _suggested(
     factors: dict[str, float],
     value: Callable[[float], float],
     low: float,

@@ -43,7 +43,7 @@ class Common:
     config: PipelineConfig
     rejected: Counter[str]  #: samples so far, by the reason
     labeller: Labeller
-    plausibility: Plausibility  #: judges each contact
+    plausibility: Plausibility  #: of each contact
     sums: BlockSums  #: of the present block
 
 
@@ -70,15 +70,15 @@ class Account:
 
     @property
     def flags(self) -> Flag:
-        """What to know of it: what stands against its site, and what it has shown itself."""
+        """The flags of its site, and its own."""
         return self._own_flags | self._site.flags
 
     # Samples and blocks
 
     def take(self, sample: ContactSample, *, learns: bool) -> list[DynamicModulus]:
-        """Take a sample; return the complex moduli that end with it.
+        """Add a sample; return the complex moduli that end with it.
 
-        `learns`: the estimator takes it too.
+        `learns`: the estimator uses it too.
         """
         self.count(sample.force)
         meter = self._meter
@@ -108,7 +108,7 @@ class Account:
             self._max_stress = force * self._config.geometry.stress_per_force
 
     def skip(self) -> None:
-        """Take note that samples are missing."""
+        """Handle missing samples."""
         self.see_missing()
         if self._meter is not None:
             self._meter.reset()
@@ -125,9 +125,9 @@ class Account:
     def close_block(
         self, stamp_ns: int, block: Learned, *, learns: bool, is_silent: bool
     ) -> Iterator[Output]:
-        """Take a block that ends at a stamp; give its state and the label, if it is new.
+        """Add a block that ends at a stamp; yield its state and the label, if it is new.
 
-        `learns`: the estimator took it too; `is_silent`: nothing is given.
+        `learns`: the estimator used it too; `is_silent`: nothing is returned.
         """
         if block.innovation is not None:
             self._judge()
@@ -163,8 +163,8 @@ class Account:
             self._own_flags |= Flag.MODEL_MISMATCH
 
     def judge_units(self, stamp_ns: int, *, is_over: bool = False) -> None:
-        """Withhold the estimate of a contact that cannot be what its units say."""
-        # From where the touch was found, not from the estimate's origin.
+        """Withhold the estimate of an implausible contact."""
+        # From the touch, not from the estimate's origin.
         strain = self._config.geometry.strain(max(self._deepest or 0.0, 0.0))
         if self._common.plausibility.is_implausible(
             stamp_ns, strain, self.max_force, self._max_stress, is_over=is_over
@@ -191,7 +191,7 @@ class Account:
         self, stamp_ns: int, block: Learned, estimate: Estimate | None, strain: float, phase: Phase
     ) -> TissueState:
         is_converged = estimate is not None and estimate.converged
-        # Where the newest data are unexplained N/m was wrong by a factor of up to 50.
+        # Where the innovation test failed, N/m was wrong by a factor of up to 50.
         explained = None if self._site.is_doubtful else estimate
         return TissueState(
             stamp_ns=stamp_ns,
@@ -208,7 +208,7 @@ class Account:
         )
 
     def unknown(self, stamp_ns: int) -> TissueState:
-        """Return the state where the estimation has failed."""
+        """Return the state of a failed estimation."""
         return TissueState(
             stamp_ns=stamp_ns,
             status=Status.UNKNOWN,
@@ -264,7 +264,7 @@ class Account:
         )
 
     def second(self, first: ContactSummary, stamp_ns: int) -> ContactSummary:
-        """Return a summary that has been given before, with what the site says now."""
+        """Return an earlier summary with the present data of the site."""
         estimate = self._site.usable_estimate
         found = replace(
             first,

@@ -36,15 +36,15 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
 
 #: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
-#: palpation of 1 Hz dips out of the tissue for at most half of its period.
+#: palpation of 1 Hz leaves the tissue for at most half of its period.
 _DIP_TIME = 0.5
-#: A contact contradicts what is stated of the rig where a quantity of it is farther off than this
+#: A contact contradicts the stated rig where one of its quantities is off by more than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
 
 
 class Learned(NamedTuple):
-    """What a block has told."""
+    """The results of a block."""
 
     compression: float  #: [1]
     stress: float  #: [Pa]
@@ -55,7 +55,7 @@ class Learned(NamedTuple):
 class Site(Standing):
     """One place on the tissue, from the first touch on.
 
-    `flags`: what stands against every estimate.
+    `flags` apply to every estimate.
 
     Attributes
     ----------
@@ -82,12 +82,12 @@ class Site(Standing):
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the newest data are unexplained."""
+        """Whether the newest data fail the innovation test."""
         return self._estimator is not None and self._estimator.is_doubtful
 
     @property
     def live_estimate(self) -> Estimate | None:
-        """The usable estimate, of which nothing is known while the newest data are unexplained."""
+        """The usable estimate, of which nothing is known while the innovation test fails."""
         estimate = self.usable_estimate
         if estimate is None or not self.is_doubtful:
             return estimate
@@ -127,9 +127,9 @@ class Site(Standing):
     def leaves_doubt(self, stamp_ns: int) -> bool:
         """Whether a touch elsewhere may be of a probe that has not left the tissue since this.
 
-        So a probe that palpates as it slides dips out of a contact whose beginning was not seen,
-        or in which it went as far to the side as to another site: the tissue that it meets next
-        is of what it has just dragged along.
+        A probe that palpates while it slides lifts off briefly. If the beginning of its contact
+        was not seen, or the contact went sideways as far as to another site, the next touch is on
+        tissue that it has just dragged along.
         """
         has_slid = self.whereabouts.is_apart(self.whereabouts.left)
         has_past = self.flags & (Flag.TOUCH_NOT_OBSERVED | Flag.TISSUE_CHANGED)
@@ -137,9 +137,9 @@ class Site(Standing):
         return is_doubted and dips(stamp_ns - self._last_ns)
 
     def check_history(self, onset: Onset) -> None:
-        """Say nothing of tissue that may have been pressed unseen before a touch."""
+        """Invalidate the estimates: the tissue may have been pressed unseen before a touch."""
         first = onset.samples[0]
-        # A site that was pressed before needs no surface, only to be left alone in between.
+        # A site that was pressed before needs no surface, only a rest in between.
         is_followed = onset.seen if first.stamp_ns == self.start_ns else onset.air_seen
         if not is_followed and not begins_at_origin(first, self._config):
             self.withdraw()
@@ -172,9 +172,9 @@ class Site(Standing):
             self._samples.clear()
 
     def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
-        """Let the estimator of another site, of tissue at rest, know this tissue: it may be it.
+        """Pass this tissue to the estimator of another site, of tissue at rest: they may be one.
 
-        It gets a copy: a later touch here goes on from what was known here.
+        It gets a copy: a later touch here continues from the knowledge of this site.
         """
         own = copy.deepcopy(self._estimator) if self.is_observed else None
         if not (isinstance(own, GridEstimator) and isinstance(new, GridEstimator)):
@@ -206,9 +206,9 @@ class Site(Standing):
     # Samples and blocks
 
     def follow(self, pair: Pair, force: float, *, learns: bool) -> ContactSample:
-        """Take a sample of a contact and its force [N] into the memory.
+        """Add a sample of a contact and its force [N] to the memory.
 
-        `learns`: the estimator takes it too.
+        `learns`: the estimator uses it too.
         """
         assert self._lift_off is not None
         geometry = self._config.geometry
@@ -231,9 +231,9 @@ class Site(Standing):
         return ContactSample(pair.stamp_ns, step, force, compression, stress, is_free)
 
     def learn(self, means: Means, *, learns: bool, is_silent: bool) -> Learned:
-        """Take a block of a contact.
+        """Add a block of a contact.
 
-        `learns`: the estimator takes it too; `is_silent`: the estimate is not asked for.
+        `learns`: the estimator uses it too; `is_silent`: without an estimate.
 
         Raises
         ------
@@ -271,7 +271,7 @@ class Site(Standing):
         return np.maximum(mean, 0.0) / scale, np.sqrt(variance) / scale
 
     def fail(self) -> None:
-        """Say nothing any more, after an exception."""
+        """Invalidate the site after an exception."""
         super().fail()
         self._estimator = None
 
@@ -306,13 +306,13 @@ def _memory_weights(config: PipelineConfig, estimate: Estimate | None) -> Array:
 
 
 def prepare(config: PipelineConfig) -> None:
-    """Import and compute what takes a moment: not only at the first touch."""
+    """Import and compute what takes a moment, before the first touch."""
     config.geometry.compression(0.1)
     _new_estimator(config, 1.0, 1.0, 0.0)
 
 
 def dips(duration_ns: int) -> bool:
-    """Whether a probe that was off the tissue for so long may just have dipped out of it."""
+    """Whether a probe that was off the tissue for this time may only have lifted off briefly."""
     return duration_ns < _DIP_TIME * NANOSECONDS
 
 

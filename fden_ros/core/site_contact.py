@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One contact of a site: from its samples to what is put out, and the states it goes through."""
+"""One contact of a site: its states, and the outputs made of its samples."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
 
 
 class State(enum.Enum):
-    """What a contact is at."""
+    """States of a contact."""
 
     BACKFILL = "samples from before the detection are backfilled"
     PRESSING = "each block gives a state"
@@ -40,7 +40,7 @@ class State(enum.Enum):
 
     @property
     def is_learning(self) -> bool:
-        """Whether the estimator takes samples."""
+        """Whether the estimator uses samples."""
         return self in (State.BACKFILL, State.PRESSING)
 
     @property
@@ -50,17 +50,17 @@ class State(enum.Enum):
 
     @property
     def is_open(self) -> bool:
-        """Whether the probe presses, or the summary is still to come."""
+        """Whether the probe presses, or the summary is pending."""
         return self not in (State.AIR_CHECK, State.CLOSED)
 
     @property
     def is_untold(self) -> bool:
-        """Whether no summary has come."""
+        """Whether no summary has been given."""
         return self.is_learning or self is State.RELEASED
 
 
 class Event(enum.Enum):
-    """What leads a contact on."""
+    """What changes the state of a contact."""
 
     CAUGHT_UP = "no sample waits any more"
     RELEASE = "the probe has left"
@@ -70,7 +70,7 @@ class Event(enum.Enum):
     EXCEPTION = "the computation failed"
 
 
-#: Where an event leads. One that a state has no row for changes nothing and puts nothing out.
+#: The next state by event. An event without a row in a state changes nothing and gives no output.
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.BACKFILL, Event.CAUGHT_UP): State.PRESSING,
     (State.BACKFILL, Event.RELEASE): State.RELEASED,
@@ -99,7 +99,7 @@ class Contact:
         self.state = State.BACKFILL
         self._common, self._config = common, common.config
         self._account = Account(contact_id, onset, site, common)
-        self._behind: deque[Pair] = deque()  # samples that are not taken yet
+        self._behind: deque[Pair] = deque()  # samples that are still to be added
         self._pace = 1
         # From the release on
         self._end_ns = 0
@@ -109,7 +109,7 @@ class Contact:
 
     @property
     def flags(self) -> Flag:
-        """What to know of it: what stands against its site, and what it has shown itself."""
+        """The flags of its site, and its own."""
         return self._account.flags
 
     @property
@@ -121,7 +121,7 @@ class Contact:
 
     @property
     def is_air_proved(self) -> bool:
-        """Whether air behind a contact, up to this one, has been compared with that before."""
+        """Whether the air after a contact, up to this one, has been compared with that before."""
         is_judged = self.state is State.CLOSED and self._air is not None
         return self._was_air_proved or is_judged
 
@@ -134,7 +134,7 @@ class Contact:
     # Samples
 
     def begin(self, noise: float, before: Site | None) -> Iterator[Output]:
-        """Begin on the site, as :meth:`~.site.Site.touch` takes it, with what comes before."""
+        """Begin on the site, as :meth:`~.site.Site.touch` does, with the approach before it."""
         samples, common = self.onset.samples, self._common
         if self.site.state is not SiteState.FAILED:
             self.site.touch(self.onset, noise, before)
@@ -147,7 +147,7 @@ class Contact:
         return self._backfill()
 
     def take(self, pair: Pair) -> Iterable[Output]:
-        """Take a sample."""
+        """Add a sample."""
         if self.site.state is SiteState.FAILED:
             return self._pass(pair)
         if self.state is not State.BACKFILL:
@@ -161,10 +161,10 @@ class Contact:
             self._go(Event.CAUGHT_UP)
 
     def _catch_up(self, count: int | None = None) -> Iterator[Output]:
-        """Take samples that wait since the touch; only of the newest an output is made.
+        """Add samples that wait since the touch; only the newest gives an output.
 
-        States of the time before the detection would contradict those put out then, in the air.
-        `count`: at most so many.
+        States of the time before the detection would contradict the earlier ones, in the air.
+        `count`: at most this number.
         """
         behind = self._behind
         for _ in range(len(behind) if count is None else min(count, len(behind))):
@@ -182,11 +182,13 @@ class Contact:
             return outputs
         means = sums.close(pair.stamp_ns)
         block = self.site.learn(means, learns=learns, is_silent=is_silent)
-        told = self._account.close_block(pair.stamp_ns, block, learns=learns, is_silent=is_silent)
-        return itertools.chain(outputs, told)
+        results = self._account.close_block(
+            pair.stamp_ns, block, learns=learns, is_silent=is_silent
+        )
+        return itertools.chain(outputs, results)
 
     def _pass(self, pair: Pair) -> Iterator[Output]:
-        """Let a sample of a contact go by in which the estimation failed."""
+        """Skip a sample of a contact in which the estimation failed."""
         self._account.count(pair.force - self.onset.bias)
         if self._common.sums.passes(pair.stamp_ns):
             yield self._account.unknown(pair.stamp_ns)
@@ -194,7 +196,7 @@ class Contact:
     # Interruption and end
 
     def see_gap(self, before_ns: int, *, is_long: bool) -> Iterator[Output]:
-        """Take note that samples are missing since a stamp; a long gap interrupts."""
+        """Handle samples missing since a stamp; a long gap interrupts."""
         if self.state.has_left:
             return
         self._account.skip()
@@ -210,7 +212,7 @@ class Contact:
             yield self._end(Event.BREAK, stamp_ns, stamp_ns)
 
     def release(self, stamp_ns: int) -> Iterator[Output]:
-        """Begin to make the summary, if it has not come before: the probe has left."""
+        """Begin the summary, unless it has been given: the probe has left."""
         if not self._may(Event.RELEASE):
             return
         yield from self._catch_up()
@@ -243,7 +245,7 @@ class Contact:
         return self._summary
 
     def fail(self, stamp_ns: int) -> Iterator[ContactSummary]:
-        """End with an exception; the summary comes if it has not come before."""
+        """End with an exception; give the summary unless it has been given."""
         if not self._may(Event.EXCEPTION):
             return
         before = self.state
@@ -255,25 +257,25 @@ class Contact:
         if before.is_untold:
             yield self._account.summary(stamp_ns, stamp_ns, complete=False)
 
-    # The air behind
+    # The air after the contact
 
     def drop_air(self) -> None:
-        """Let it stand: what comes now cannot be compared with the air before."""
+        """Stop the comparison: the next samples cannot be compared with the air before."""
         if self.state is not State.CLOSED:
             self._air = None
 
     def hover(self, pair: Pair) -> Iterable[ContactSummary]:
-        """Take a sample in the air; give a second summary once it contradicts the contact."""
+        """Add a sample in the air; give a second summary once it contradicts the contact."""
         if self._air is None or self.state is State.CLOSED:
             return ()
         self._air.average(pair)
         return self.judge(pair.stamp_ns) if self._air.is_due(pair.stamp_ns) else ()
 
     def judge(self, stamp_ns: int, *, before_ns: int | None = None) -> Iterator[ContactSummary]:
-        """Judge the contact by the air behind it; give a second summary if that contradicts it.
+        """Judge the contact by the air after it; give a second summary if that contradicts it.
 
-        Its site is doubted: the covariance is widened by as much as the air contradicts what is
-        stated; or, where the first contact was taken for air, withdrawn.
+        The covariance of its site is widened by as much as the air contradicts the stated values.
+        If the first contact was taken for air, the site is invalidated.
         `before_ns`: when the next contact began.
         """
         if not self._may(Event.VERDICT):
@@ -286,7 +288,7 @@ class Contact:
         if found is None:
             return
         if found.has_fallen and not self._was_air_proved:
-            # What was taken for the first air was a contact: there is no origin, nor a history.
+            # A contact was taken for the first air: there is neither an origin nor a history.
             site.withdraw()
         else:
             if not found.has_drifted:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The sites that were touched: which of them a touch is of, or a new one."""
+"""The sites that were touched, and the choice of the site of a touch."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from fden_ros.core.contact import Onset
 from fden_ros.core.outputs import Flag
 from fden_ros.core.site import Site, dips
 
-#: Sites whose tissue is remembered, so that a place that is pressed again is known [1].
+#: Number of sites whose tissue is remembered, so that a second press of a place is recognised [1].
 _MOST_VISITED = 16
 
 
 class Sites:
     """The present site and those that were visited before.
 
-    `flags` stand against every estimate.
+    `flags` apply to every estimate.
     """
 
     def __init__(self, config: PipelineConfig, flags: Flag) -> None:
@@ -26,12 +26,12 @@ class Sites:
         self.forget()
 
     def forget(self) -> None:
-        """Forget all but their number."""
+        """Drop all but their number."""
         self.present: Site | None = None
         self.visited: list[Site] = []
 
     def of(self, onset: Onset, left_unseen_ns: int | None) -> Site:
-        """Return the site that is touched, from now on the present one.
+        """Return the site of a touch, which becomes the present one.
 
         The probe may have left a tissue unseen at `left_unseen_ns`.
         """
@@ -55,6 +55,6 @@ class Sites:
         return site
 
     def drop(self) -> None:
-        """Forget the present site: what comes next must not inherit its origin."""
+        """Drop the present site: the next one must not inherit its origin."""
         self.visited = [site for site in self.visited if site is not self.present]
         self.present = None

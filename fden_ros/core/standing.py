@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What stands against the estimate of a site, and what it claims by that."""
+"""The flags of a site's estimate, and what may be claimed with them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class SiteState(enum.IntEnum):
 
 
 class Standing:
-    """The newest estimate of a site, less what stands against it."""
+    """The newest estimate of a site, without what its flags exclude."""
 
     def __init__(self, config: EstimatorConfig, flags: Flag) -> None:
         self.state = SiteState.OBSERVED
-        self.flags = flags  #: what stands against every estimate of the site
-        self.estimate: Estimate | None = None  #: the newest, with no more claimed than may be
+        self.flags = flags  #: of every estimate of the site
+        self.estimate: Estimate | None = None  #: with the claims that the flags allow
         self._estimator_config = config
         self._own: Estimate | None = None  # of the data alone
         self._variance_factor = 1.0
@@ -41,7 +41,7 @@ class Standing:
         return self.estimate if self.is_observed else None
 
     def find(self, own: Estimate | None) -> None:
-        """Take the newest estimate of the data alone."""
+        """Set the newest estimate of the data alone."""
         self._own = self.estimate = own
         if own is not None:
             is_withheld = bool(self.flags & WITHHELD)
@@ -49,17 +49,17 @@ class Standing:
             self.estimate = reserved(self._estimator_config, own, found)
 
     def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
-        """Take note of a contradiction: raise a flag and widen the covariance by a factor."""
+        """Apply a contradiction: raise a flag and widen the covariance by a factor."""
         self.flags |= flag
         self._variance_factor = max(self._variance_factor, variance_factor)
         self.find(self._own)
 
     def withdraw(self, flag: Flag = Flag.TOUCH_NOT_OBSERVED) -> None:
-        """Say nothing any more: the tissue under the probe has a past that was not seen."""
+        """Invalidate the site: the tissue under the probe has a past that was not seen."""
         self._go(SiteState.UNOBSERVED, flag)
 
     def fail(self) -> None:
-        """Say nothing any more, after an exception."""
+        """Invalidate the site after an exception."""
         self._go(SiteState.FAILED, Flag.ESTIMATION_FAILED)
         self.find(None)
 

@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Stiffness in N/m: by the law of an estimate, and as the slope that is measured.
+r"""Stiffness in N/m: by the law of an estimate, and as the measured slope.
 
 The *measured slope* is dF/dd at the end of loading, and at the beginning of unloading (S of Oliver
 and Pharr, Journal of Materials Research 7, 1564, 1992). It needs no law, touch or zero. A *run* is
-motion in one direction, kept as pieces of the way, the newest the finest. The slope is that of a
-parabola through a window at the run's end, evaluated at that end: of the narrowest window whose
-standard error is 2 % of the slope, else of the least. The standard error has what a cubic makes of
-the slope in it. Where the end itself is not known, the slope is that in the middle of a window.
+motion in one direction, kept as pieces of the path, the newest the finest. The slope is that of a
+parabola through a window at the run's end, evaluated at that end. The window is the narrowest
+whose standard error is 2 % of the slope, otherwise the one with the least. The standard error
+includes the change of the slope by a cubic. If the end itself is not known, the slope is that in
+the middle of a window.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ _LEAST_PIECE, _LEAST_PIECE_PART, _PIECE_DEVIATIONS, _PER_LEVEL = 5e-6, 2.5e-4, 4
 #: Least pieces of a window, its least part of the force's change in the run, and in the last run
 #: where this one goes on with it; ratio of two windows.
 _LEAST_PIECES, _LEAST_PART, _LEAST_OF_LAST, _WIDER = 8, 0.1, 0.25, 1.4
-#: Standard error over the slope from which on a window is wide enough, and up to which it is
+#: Relative standard error from which on a window is wide enough, and up to which the slope is
 #: known; the window's change of force is at least 3 deviations of the noise.
 _FINE, _KNOWN, _LEAST_RISE = 0.02, 0.25, 3.0
 #: Loading ends where the probe slows down to half of the speed at which the force rose, a run
 #: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
 _SLOW, _REST, _DUE = 0.5, 8.0, 0.125
-#: The envelope of a force saturates where it rises by this part of what it did over as wide a
-#: window before, known to 3 standard errors, at least this part of the speed then, on 6 pieces.
+#: The envelope of a force saturates where it rises by this part of its rise over as wide a window
+#: before, known to 3 standard errors, at least this part of the speed then, on 6 pieces.
 _FLAT, _ERRORS, _SPEED, _LEAST_FLAT = 0.25, 3.0, 0.8, 6
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
@@ -77,7 +78,7 @@ class MeasuredSlope(NamedTuple):
 
     value: float  #: dF/dd [N/m]
     sd: float  #: its standard deviation [N/m]
-    depth: float  #: where it is, below the surface [m]; not a number: no touch was seen
+    depth: float  #: below the surface [m]; NaN: no touch was seen
     stamp_ns: int  #: when the probe was there
 
 
@@ -88,11 +89,11 @@ class Slopes(NamedTuple):
     unloading: MeasuredSlope | None = None
 
     def below(self, surface: float) -> Slopes:
-        """Return the slopes with depths from a surface [m] on."""
+        """Return the slopes with depths from a surface [m]."""
         return Slopes(*(one and one._replace(depth=one.depth - surface) for one in self))
 
     def deepest(self, new: Slopes) -> Slopes:
-        """Return of each direction the deepest, the new one where both are."""
+        """Return the deeper slope of each direction, the new one where both are equal."""
         pairs = zip(self, new, strict=True)
         return Slopes(*(b if not a or (b and b.depth >= a.depth) else a for a, b in pairs))
 
@@ -114,7 +115,7 @@ class _Run:
         self._sums, self._count = np.zeros(4), 0
 
     def add(self, stamp_ns: int, way: float, force: float) -> bool:
-        """Take a sample; return whether a piece has been closed."""
+        """Add a sample; return whether a piece has been closed."""
         self._sums += (way, way * way, way**3, self.sign * force)
         self._count += 1
         width = self.length * math.floor((way - self.open_way) / self.length)
@@ -142,7 +143,7 @@ class _Run:
         return elapsed * self.width > _REST * self.duration * self.length > 0.0
 
     def columns(self) -> Array:
-        """Return pieces from the end that is measured: a row for each number of a piece.
+        """Return pieces from the measured end: a row for each number of a piece.
 
         Width, duration, time, means of way, its square, its cube and force, variance of the force.
         """
@@ -165,7 +166,7 @@ def _joined(a: Array, b: Array) -> Array:
 class _Window(NamedTuple):
     slope: float  #: [N/m]
     sd: float  #: [N/m]
-    way: float  #: of the place that it is of [m]
+    way: float  #: of the slope's place [m]
     width: float  #: [m]
     is_known: bool
 
@@ -184,8 +185,7 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     parabola, cubic = (np.linalg.pinv(normal[:n, :n]) @ weighted[:n] for n in (3, 4))
     scaled = (forces - design @ (cubic @ forces)) / np.sqrt(variances)
     total, freedom = float(scaled @ scaled), len(forces) - 4
-    lagged = float(scaled[1:] @ scaled[:-1]) / max(total, sys.float_info.min)
-    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    correlated = _correlation(scaled)
     variance = max(total / freedom * (1.0 + correlated) / (1.0 - correlated), noise**2)
     student = float(stdtrit(freedom, 0.975)) / 1.959964  # of the normal distribution
 
@@ -202,6 +202,12 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     return at(side), at(0.0)
 
 
+def _correlation(residuals: Array) -> float:
+    """Return the correlation of neighbouring residuals, at least 0 [1]."""
+    total = max(float(residuals @ residuals), sys.float_info.min)
+    return min(max(float(residuals[1:] @ residuals[:-1]) / total, 0.0), _MOST_CORRELATED)
+
+
 def _line(columns: Array) -> tuple[float, float]:
     """Return the slope of a line through pieces and its standard error [N/m]."""
     weights, way, force = columns[0], columns[3], columns[6]
@@ -210,16 +216,15 @@ def _line(columns: Array) -> tuple[float, float]:
     slope = float(weights @ (way * force)) / spread
     left = force - slope * way
     variance = float(weights @ left**2) / (way.size - 2)
-    lagged = float(left[1:] @ left[:-1]) / max(float(left @ left), sys.float_info.min)
-    correlated = min(max(lagged, 0.0), _MOST_CORRELATED)
+    correlated = _correlation(left)
     return slope, math.sqrt(variance / spread * (1.0 + correlated) / (1.0 - correlated))
 
 
 def _is_saturated(columns: Array, change: float) -> bool:
     """Whether the force stands still at the end of loading, from which the columns begin.
 
-    Under a probe that goes on no tissue does that: the sensor, or its amplifier, is at its end.
-    Values that repeat are those of a slow sensor, or are rejected as stuck.
+    No tissue does that under a probe that moves on: the sensor, or its amplifier, is at its end.
+    Repeated values are those of a slow sensor, or are rejected as stuck.
     """
     widths, times = np.cumsum(columns[0]), np.cumsum(columns[1])
     count = _LEAST_FLAT
@@ -276,31 +281,31 @@ class MeasuredSlopes:
 
     @property
     def unseen(self) -> Slopes:
-        """Those of motion outside of any contact where it was deepest."""
+        """The slopes of motion outside of any contact, at its deepest point."""
         return self._unseen.below(math.nan)
 
     def of(self, contact_id: int) -> Slopes:
-        """Return what was measured of a contact."""
+        """Return the slopes of a contact."""
         slopes, surface = self._found.get(contact_id, (NOT_MEASURED, math.nan))
         return slopes.below(surface)
 
     def forget(self) -> None:
-        """Forget the motion so far: the clock, or the place, is another."""
+        """Drop the motion so far: the clock, or the place, has changed."""
         self._newest = NOT_MEASURED
-        #: The force stood still under a probe that went on: no more of the contact is measured.
+        #: The force stood still while the probe moved on: the contact is measured no further.
         self.is_saturated = False
         self._run: _Run | None = None
         self._change = self._sign = 0.0  # of the force in the last run [N], and its direction
         self._roughness, self._last = 0.0, deque[float](maxlen=4)
 
     def skip(self) -> None:
-        """Begin a new run: samples are missing, or the force's zero is another."""
+        """Begin a new run: samples are missing, or the force's zero has changed."""
         self._finish()
         self._last.clear()
 
     def add(self, pair: Pair) -> None:
-        """Take a sample, before the contact that it is of is known."""
-        # The bias of the force moves all places by what `assign` takes off the surface.
+        """Add a sample, before its contact is known."""
+        # The bias of the force moves all places by the shift of the surface in `assign`.
         stamp_ns, place = pair.stamp_ns, self._contact.compliance_free(pair, pair.force)
         self._last.append(place)
         if len(self._last) == 4:
@@ -319,9 +324,9 @@ class MeasuredSlopes:
             self._measure(run)
 
     def assign(self, contact_id: int, *, in_contact: bool, surface: float, bias: float) -> None:
-        """Assign what is known after a sample to the contact that the sample is of.
+        """Assign the results after a sample to the contact of that sample.
 
-        `surface` of the contact [m], not a number where it was not seen, and `bias` of the force.
+        `surface` of the contact [m], NaN where it was not seen, and `bias` of the force.
         """
         self._surface = surface - self._contact.series_compliance * bias
         if in_contact or self._is_continuous:
@@ -345,7 +350,7 @@ class MeasuredSlopes:
             self._sign = run.sign
 
     def _measure(self, run: _Run) -> float:
-        """Measure a run as it is by now; return the change of its force [N]."""
+        """Measure a run in its present state; return the change of its force [N]."""
         run.due_width = run.width * (1.0 + _DUE)
         columns = run.columns()
         if columns.shape[1] < _LEAST_PIECES:
@@ -356,7 +361,7 @@ class MeasuredSlopes:
         if self.is_saturated:
             self._newest = NOT_MEASURED
             return change
-        # What a creeping probe has left in one direction is no loading of its own.
+        # The relaxation left by a creeping probe in one direction is no loading.
         left = _LEAST_OF_LAST * self._change if run.sign == self._sign else 0.0
         least = max(_LEAST_PART * change, left)
         found = _best(columns, run.sign, least, self._noise) if change >= least else None
@@ -376,7 +381,7 @@ class MeasuredSlopes:
             before is None
             or before.stamp_ns < run.start_ns
             or (
-                # A wider window counts while it agrees with the narrower ones before.
+                # A wider window counts while it agrees with the narrower ones.
                 slope.sd < before.sd and abs(slope.value - before.value) < before.sd
             )
         ):

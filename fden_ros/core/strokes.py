@@ -9,16 +9,16 @@ from fden_ros.core.contact import Onset
 from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: A probe has lifted where it was off the surface by this part of its last depth behind it; by the
-#: second where its touch was not seen. The surface of a stroke that never lifts is found where the
+#: A probe has lifted where it was off the surface by this part of its last depth, or by the second
+#: part where its touch was not seen. The surface of a stroke that never lifts is found where the
 #: stroke turns: within 1 % of the depth on silicone (2 Hz, 0.05 N of noise), 4 % of simulated
 #: linear tissue, and 12 % (20 %) of exponential tissue with 2 % (10 %) of its force as noise.
 _LIFTED, _LIFTED_UNSEEN = 0.1, 0.25
-#: So many touches in a row without a lift are strokes; one or two are presses made anew.
+#: This many consecutive touches without a lift are strokes; one or two are repeated presses.
 _LEAST_STROKES = 3
-#: So many periods in one contact whose touch was not seen are strokes too.
+#: This many periods in one contact whose touch was not seen are strokes too.
 _LEAST_PERIODS = 5.0
-#: What to write into the parameter file.
+#: The setting for the parameter file.
 REMEDY = "contact: {mode: continuous}"
 
 
@@ -26,27 +26,27 @@ class Strokes:
     """Watches for a probe that palpates and never lifts."""
 
     def __init__(self) -> None:
-        self.frequency: float | None = None  #: of the palpation, once it is told [Hz]
+        self.frequency: float | None = None  #: of the palpation, once it is detected [Hz]
         self._strokes = self._lifts = 0
         self.forget()
 
     def forget(self) -> None:
-        """Forget the motion so far, but not what was told."""
+        """Drop the motion so far, but not the detection."""
         self._finder = PalpationFrequency()
         self._start_ns: int | None = None
         self._lowest = self._deepest = 0.0
         self._surface: float | None = None  # of the present contact, or the last
         self._count = 0
-        self._unseen_ns: int | None = None  # since when a contact lasts whose touch was not seen
+        self._unseen_ns: int | None = None  # beginning of a contact whose touch was not seen
 
     @property
     def prevails(self) -> bool:
-        """Whether it is told, and no more touches came after a lift than without one."""
+        """Whether it is detected, and no more touches came after a lift than without one."""
         return self.frequency is not None and self._lifts <= self._strokes
 
     @property
     def warning(self) -> str:
-        """What to do, in words; empty while nothing is told."""
+        """What to do, in words; empty before a detection."""
         if self.frequency is None:
             return ""
         return (
@@ -56,7 +56,7 @@ class Strokes:
         )
 
     def add(self, pair: Pair, *, in_contact: bool) -> None:
-        """Take a sample."""
+        """Add a sample."""
         if self._start_ns is None:
             self._start_ns, self._lowest = pair.stamp_ns, pair.displacement
         self._finder.add((pair.stamp_ns - self._start_ns) / NANOSECONDS, pair.displacement)
@@ -71,7 +71,7 @@ class Strokes:
             self._tell()
 
     def touch(self, onset: Onset) -> None:
-        """Take the beginning of a contact."""
+        """Add the beginning of a contact."""
         lowest = min(self._lowest, float(onset.way[1].min(initial=self._lowest)))
         before = self._surface
         depth = self._deepest - (onset.displacement if before is None else before)
@@ -88,7 +88,7 @@ class Strokes:
             self._tell()
 
     def release(self) -> None:
-        """Take the end of a contact."""
+        """Add the end of a contact."""
         self._unseen_ns = None
         self._lowest = self._deepest
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables of experiments: named columns in, or one line that says what is wrong."""
+"""Tables of experiments: named columns in, or an error of one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fden_ros.errors import InputError
 from fden_ros.recording.headings import Heading, candidates
 from fden_ros.recording.text import is_number, layout_of
 
-#: The columns that experiments read: unit, and quantity in the words of an instrument's headings.
+#: The columns of experiments: unit, and quantity in the words of an instrument's headings.
 _COLUMNS = {
     "time_s": ("s", "time"),
     "strain": ("a ratio", "strain"),
@@ -77,7 +77,7 @@ class Table:
             raise InputError(f"{self.path}: rows: {len(self.lines)}; {user} needs {count} or more")
 
     def held(self, name: str, given: float | None, option: str) -> float:
-        """Return what is the same in all rows: as `given`, or by its column."""
+        """Return a quantity that is equal in all rows: as `given`, or by its column."""
         value = given
         if value is None and name in self.columns:
             values = self.column(name)

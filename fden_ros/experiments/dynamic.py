@@ -45,11 +45,11 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
 
     An extended Kalman filter with the constant state (alpha, ln G) observes
     :math:`(\log G', \log G'')`, frequency after frequency. The paper starts it at zero, where the
-    logarithm is infinite; it starts at what the first pair shows, with wide deviations. The
+    logarithm is infinite. Here it starts at the first pair, with wide deviations. The
     residuals of one run give the noise of each modulus for the next.
 
-    The slope of \|G*\| and the mean phase each have an alpha. Where they contradict each other, as
-    of some tissue (Kobayashi et al., arXiv:1804.00979), a warning has both.
+    The slope of \|G*\| and the mean phase each give an alpha. Where they contradict each other, as
+    for some tissue (Kobayashi et al., arXiv:1804.00979), a warning has both.
     """
     require_positive(omega=omega, storage_modulus=storage, loss_modulus=loss)
     order = np.argsort(omega, kind="stable")
@@ -57,12 +57,12 @@ def fit_complex_modulus(omega: Array, storage: Array, loss: Array) -> Fit:
     moduli = np.column_stack([storage, loss])[order]
     logs = np.log(moduli)
     noise = np.full(2, 0.05)
-    # Twice, because the second run's residuals are what the noise is taken from.
+    # Twice, because the noise comes from the second run's residuals.
     for _ in range(3):
         state, covariance = _filter(np.log(omega), logs, noise)
         residuals = logs - _predicted(state, np.log(omega))
         noise = np.sqrt(np.sum(residuals**2, axis=0) / max(omega.size - 1, 1)) + _LEAST_NOISE
-    # Nearly all that is known of alpha comes from one of the two moduli, G''.
+    # One of the two moduli, G'', determines nearly all of alpha.
     dof = float(omega.size - 1)
     deviations = np.sqrt(np.diag(covariance)) if dof > 0 else np.full(2, math.nan)
     parameters = {

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The table of experiments: what the file of each holds, what it gives, and where its fit is."""
+"""The table of experiments: the files of each, their results, and the place of their fit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """What a file does not say itself."""
+    """Values that a file does not state itself."""
 
     stress: float | None = None  #: constant stress of a creep test [Pa]
     strain: float | None = None  #: constant strain of a relaxation test [1]
@@ -30,7 +30,7 @@ class Options:
 class Experiment(NamedTuple):
     """One kind of experiment."""
 
-    files: tuple[tuple[str, str], ...]  #: columns of each kind of file, and what they give
+    files: tuple[tuple[str, str], ...]  #: columns of each kind of file, and their results
     options: tuple[str, ...] = ()  #: those of ``fden fit`` that count
 
 

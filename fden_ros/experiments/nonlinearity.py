@@ -115,7 +115,7 @@ def law_parameters(solution: Solution, index: int) -> dict[str, Parameter]:
 
 
 def undetermined_stiffening(deepest: float, log_g_n: float) -> tuple[str, ...]:
-    """Return a warning if no strain lies beyond 1/Gn, where alone Gn shows."""
+    """Return a warning if no strain exceeds 1/Gn, because only larger strains show Gn."""
     if deepest * math.exp(log_g_n) > 1.0 + 1e-9:
         return ()
     return (

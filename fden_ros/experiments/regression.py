@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Least squares with covariances that stay honest when the noise is not what one assumed.
+r"""Least squares with covariances that hold when the noise differs from the assumption.
 
 The covariance is the sandwich estimate HC3 (MacKinnon and White, J. Econometrics 29 (1985) 305),
 
 .. math:: (J^T J)^{-1} \sum_i \frac{r_i^2}{(1-h_i)^2}\, j_i j_i^T\, (J^T J)^{-1} ,
 
-with residuals r, rows j of the Jacobian and leverages h: it needs no assumption that all rows are
-equally noisy. Where successive residuals are correlated, because the noise is or because the
-model does not follow the data, n rows say less than n: the covariance is widened by
+with residuals r, rows j of the Jacobian and leverages h: it does not assume equal noise in all
+rows. Where successive residuals are correlated, by the noise or because the
+model does not follow the data, n rows contain less information: the covariance is widened by
 :math:`(1+\rho)/(1-\rho)` with :math:`\rho` their first autocorrelation, and the degrees of
-freedom shrink by as much. Means of 20 blocks show what is slower.
+freedom shrink by as much. Means of 20 blocks show slower correlation.
 
 A logarithm of noisy values is biased by :math:`-\sigma^2/2`: fits of logarithms add it back.
 """
@@ -29,15 +29,15 @@ from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
 from fden_ros.experiments.result import Parameter, plain, positive
 
-#: Fewer rows say nothing about correlation.
+#: Fewer rows show no correlation.
 _MIN_ROWS_FOR_CORRELATION = 20
 _MAX_LEVERAGE = 0.99
-#: The widening is an upper estimate where few independent rows are left; t need not add much.
+#: With few independent rows the widening is an upper estimate; t need not add much.
 _LEAST_DOF = 4.0
-#: Blocks whose means show how far residuals hang together, of at least so many rows. Of white
+#: Blocks whose means show the length of correlation, of at least this many rows. Of white
 #: residuals the ratio of variances is 1 with a deviation of 0.32.
 _BLOCKS, _LEAST_BLOCK, _WHITE_RATIO = 20, 4, 1.65
-#: Residuals here are relative: below this there is nothing to warn of.
+#: Residuals here are relative: smaller ones need no warning.
 _NEGLIGIBLE_RESIDUAL = 1e-4
 
 
@@ -62,11 +62,11 @@ class Solution(NamedTuple):
         return math.sqrt(float(self.residuals @ self.residuals) / freedom)
 
     def plain(self, *gradient: float) -> Parameter:
-        """Return a sum of the parameters, each times its number of `gradient`."""
+        """Return the sum of the parameters times `gradient`."""
         return plain(*self._sum(gradient), self.dof)
 
     def positive(self, *gradient: float, log_value: float | None = None) -> Parameter:
-        """Return what has that sum, or `log_value` with that gradient, as its logarithm."""
+        """Return the value whose logarithm is that sum, or `log_value` with that gradient."""
         value, sd = self._sum(gradient)
         return positive(value if log_value is None else log_value, sd, self.dof)
 
@@ -112,7 +112,7 @@ def line_through(x: Array, y: Array) -> Solution:
 
 
 def line_through_logarithms(x: Array, y: Array) -> Solution:
-    """Fit ``log y = values[0] log x + values[1]``, the bias of log y taken off."""
+    """Fit ``log y = values[0] log x + values[1]``, corrected for the bias of log y."""
     first = line_through(np.log(x), np.log(y))
     return first._replace(
         values=first.values + np.array([0.0, _half_variance(first.residuals, 2)])
@@ -133,7 +133,7 @@ def minimise(
 def minimise_logarithms(
     predicted: Callable[[Array], Array], logs: Array, start: Array, low: Array, high: Array
 ) -> Solution:
-    """Fit `predicted` to logarithms (n,) within bounds, their bias taken off."""
+    """Fit `predicted` to logarithms (n,) within bounds, corrected for their bias."""
     start, shift = np.clip(start, low + 1e-3, high - 1e-3), 0.0
     for _ in range(2):
         solution = minimise(lambda v, s=shift: predicted(v) - logs - s, start, (low, high))  # type: ignore[misc]
@@ -161,7 +161,7 @@ def _widening(correlation: float, rows: int, parameters: int) -> float:
 
 
 def _slow_widening(residuals: Array) -> float:
-    """Return by what factor the variance of block means exceeds that of white residuals."""
+    """Return the ratio of the variance of block means to that of white residuals."""
     size, variance = residuals.size // _BLOCKS, float(np.var(residuals))
     if size < _LEAST_BLOCK or variance <= 0.0:
         return 1.0

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fit returns: parameters with uncertainty, R² and warnings."""
+"""The result of a fit: parameters with uncertainty, R² and warnings."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Fit:
     parameters: Mapping[str, Parameter]
     r_squared: float  #: coefficient of determination; NaN if the data do not vary
     samples: int  #: rows that the fit used
-    warnings: tuple[str, ...] = ()  #: what contradicts the model or the reading, a line each
+    warnings: tuple[str, ...] = ()  #: contradictions of the model or the reading, a line each
 
     def __getitem__(self, name: str) -> Parameter:
         """Return one parameter."""
         return self.parameters[name]
 
     def as_object(self) -> dict[str, Any]:
-        """Return the JSON object: ``alpha``, ``g``, ``g_n`` with ``_sd`` always, else null."""
+        """Return the JSON object: ``alpha``, ``g``, ``g_n`` with ``_sd`` always; null: unknown."""
         nothing = Parameter(*[math.nan] * 4)
         always = {name: nothing for name in ("alpha", "g", "g_n")}
         return {

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Creep and relaxation: a constant stress or strain from time 0, and what answers over time.
+r"""Creep and relaxation: a constant stress or strain from time 0, and the response over time.
 
 In the linear range :math:`D^\alpha(G x) = f` answers a step with a straight line in the log-log
 plane (paper, eqs. FC, Creep, CreepLog and xc, where r means alpha),
@@ -9,7 +9,7 @@ plane (paper, eqs. FC, Creep, CreepLog and xc, where r means alpha),
 .. math:: x = \frac{f_c}{G\,\Gamma(1+\alpha)}\, t^\alpha = x_c\, t^\alpha , \qquad
           f = \frac{\varphi(x_c)}{\Gamma(1-\alpha)}\, t^{-\alpha} = f_c\, t^{-\alpha} .
 
-That of the stress holds at every strain, also beyond :math:`1/G_n`: strain and time separate.
+The law of the stress holds at every strain, also beyond :math:`1/G_n`: strain and time separate.
 There the exact creep is :math:`x = \varphi^{-1}(f_c t^\alpha/\Gamma(1+\alpha))`, whose log-log
 slope is :math:`\alpha/(G_n x)`. The paper (eqs. AppE1a to AppE2) has
 :math:`f_c = G\,\Gamma(1+\alpha) x_c` for relaxation, the factor of creep; the fractional
@@ -46,7 +46,7 @@ from fden_ros.experiments.regression import (
 from fden_ros.experiments.result import Fit, r_squared
 from fden_ros.recording.text import looks_like_a_table
 
-#: The paper leaves the first second of a creep test out: the rheometer still vibrates.
+#: The paper omits the first second of a creep test: the rheometer still vibrates.
 _CREEP_START = 1.0
 
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node's messages: taken out of the middleware by a timer, decoded, worked off, and counted.
+"""The node's messages: taken from the middleware by a timer, decoded, processed, and counted.
 
-A typed subscription costs 75 us a message, 20 us this: no executor waits for these subscriptions,
-and a timer takes what has come. While the node computes it takes again after every 32 messages,
-before the middleware's queues overflow. The oldest of what is too much is dropped and counted.
+A typed subscription costs 75 us a message, this 20 us: no executor waits for these subscriptions;
+a timer takes the messages. While the node computes it takes again after every 32 messages,
+before the middleware's queues overflow. The oldest of too many are dropped and counted.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from rclpy.subscription import Subscription
 from fden_ros.inputs import DAMAGED, Inputs, stream_of
 from fden_ros.recording.message_types import decoder
 
-#: Messages are taken so often [s].
+#: Period of the timer [s].
 TAKE_PERIOD = 0.005
 _TAKE_EVERY = 32
-#: Timers and services get their turn after 50 ms of working off [s].
+#: Timers and services get their turn after 50 ms of processing [s].
 _LONGEST_TURN = 0.05
 #: More waiting messages than this are dropped, the oldest first: 2 s of two streams at 5 kHz.
 _MOST_WAITING = 20_000
 
 
 class Taken(ReentrantCallbackGroup):
-    """Of subscriptions that no executor waits for; their node leaves them out."""
+    """Group of subscriptions that no executor waits for; their node leaves them out."""
 
 
 #: Returns bytes of messages, and when the middleware received each, by the system's clock [ns].
@@ -74,16 +74,16 @@ class Backlog:
         return Counter({stream: count() for stream, count in self._losses.items()})
 
     def listen(self, stream: str, kind: str, subscription: Subscription) -> None:
-        """Take the messages of a raw subscription, of the type `kind`, from now on."""
+        """Add a raw subscription, with messages of the type `kind`."""
         self._losses[stream] = _loss_counter(subscription)
         self.add(stream, partial(_taken, subscription), decoder(kind))
 
     def add(self, stream: str, take: Take, decode: Callable[[bytes], Any]) -> None:
-        """Take what `take` returns from now on."""
+        """Add a source of messages: `take` returns them."""
         self._takes[stream], self._decoders[stream] = take, decode
 
     def work(self) -> None:
-        """Take what has come, and work it off for a turn."""
+        """Take the waiting messages, and process them for a turn."""
         end = time.monotonic() + _LONGEST_TURN
         waiting = self._waiting
         self._take()
@@ -93,7 +93,7 @@ class Backlog:
             self._take()
 
     def clear(self) -> None:
-        """Forget what waits, and where it came from."""
+        """Drop the waiting messages and their sources."""
         self._waiting.clear()
         self._takes.clear()
         self._losses.clear()
@@ -110,7 +110,7 @@ class Backlog:
         self._inputs.add(one.stream, message, received)
 
     def _take(self) -> None:
-        """Take what has come, the streams side by side: pairing waits for no stream for long."""
+        """Take the waiting messages, alternating streams: no stream waits long for its partner."""
         found = []
         for stream, take in self._takes.items():
             taken = take()
@@ -132,9 +132,9 @@ def _taken(subscription: Subscription) -> list[tuple[bytes, int]]:
 
 
 def _loss_counter(subscription: Subscription) -> Callable[[], int]:
-    """Return what counts the messages that the middleware has lost so far.
+    """Return a function that counts the messages that the middleware has lost so far.
 
-    As an event of the executor it would wake some with every message.
+    An event of the executor would wake some executors with every message.
     """
     kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
     try:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the node says about itself, once a second: on ``/diagnostics``, and once in its log."""
+"""The node's own status, once a second: on ``/diagnostics``, and once in its log."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from fden_ros.nodes.session import Session
 from fden_ros.ros.status import PipelineProblems, diagnostic_status, status_of
 
 _PERIOD = 1.0
-#: A warning of one kind comes into the log no more often than this [s].
+#: A warning of one kind is logged no more often than this [s].
 _THROTTLE = 10.0
 
 
 class Diagnostics:
-    """Speak for a node: of its session while it is active, before that of what it refused.
+    """Report for a node: on its session while it is active, before that on refused requests.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ class Diagnostics:
         self._report = _Report(self._node, session)
 
     def end(self) -> None:
-        """Fall silent."""
+        """Stop reporting."""
         self._report = None
 
     def publish(self) -> None:
-        """Publish what there is to say; nothing while the node waits for a transition."""
+        """Publish the status; nothing while the node waits for a transition."""
         with self._lock:
             status = self._status()
         if status is None:
@@ -79,7 +79,7 @@ class Diagnostics:
 
 
 class _Report:
-    """Rates, rejected samples by reason, and what is wrong with the inputs, in words."""
+    """Rates, rejected samples by reason, and problems of the inputs, in words."""
 
     def __init__(self, node: LifecycleNode, session: Session) -> None:
         self._node, self._session = node, session
@@ -139,7 +139,7 @@ class _Report:
             logger.warning(words)
 
     def _first_problems(self) -> list[str]:
-        """Return what is wrong with the inputs; log it once while nothing has come of them."""
+        """Return the problems of the inputs; log them once while no samples result."""
         session, pipeline, node = self._session, self._session.pipeline, self._node
         first = [
             problem
@@ -157,7 +157,7 @@ class _Report:
         return [*first, *always]
 
     def _say_once(self, problems: Sequence[str]) -> None:
-        """Log, once each, the problems that were seen at the last look too.
+        """Log, once each, the problems that the last look also found.
 
         A publisher that has just been discovered has sent nothing yet.
         """
@@ -168,7 +168,7 @@ class _Report:
         self._seen_before = set(problems)
 
     def _lost(self, received: Counter[str]) -> list[str]:
-        """Return what was lost in the last second, and what mends it, a sentence an input."""
+        """Return what was lost in the last second, with its remedy, a sentence an input."""
         self._fastest |= received
         lost = self._new("lost", self._session.backlog.lost)
         dropped = self._new("dropped", self._session.backlog.dropped)

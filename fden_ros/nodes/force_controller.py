@@ -31,13 +31,13 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("identifier", "identifier", "name of the identifier node"),
     ("scheduled", True, "gains from the live stiffness; false: the safe ones"),
     ("safe_stiffness", 130.0, "stiffness for which the safe gains are made [N/m]"),
-    ("force_limit", 0.32, "the force shall stay below it [N]"),
+    ("force_limit", 0.32, "upper limit of the force [N]"),
     ("bandwidth", 12.0, "of the force [rad/s]"),
-    ("reaction_time", 0.06, "from a change of the force to the axis answering [s]"),
-    ("surface", 0.0, "displacement at the surface [m]"),
-    ("tare_time", 2.0, "the force is measured in the air for this time first [s]"),
+    ("reaction_time", 0.06, "from a change of the force to the response of the axis [s]"),
+    ("surface", 0.0, "displacement at the surface of the tissue [m]"),
+    ("tare_time", 2.0, "time in the air at the start to measure the force's bias [s]"),
     ("program.forces", [0.0], "forces of a program, one after the other [N]; all 0: none"),
-    ("program.duration", 3.0, "of each force [s]"),
+    ("program.duration", 3.0, "duration of each force [s]"),
     ("program.x", [0.0], "places to press, one after the other [m]"),
     ("program.y", [0.0], "second coordinate of the places [m]"),
 )
@@ -45,7 +45,7 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
 _RATE = 200.0
 #: How far the probe leaves the surface between two sites [m].
 _LIFT = 0.004
-#: The first touch waits for the identifier, which must see it, for at most this time [s].
+#: Longest wait of the first touch for the identifier, which must see it [s].
 _PATIENCE = 20.0
 _QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 #: After 0.1 s without a force the probe is stopped [s].
@@ -53,7 +53,7 @@ _INPUT_TIMEOUT = 0.1
 
 
 class ForceControllerNode(Node):
-    """Force control that acts on the estimate while it can be relied on."""
+    """Force control that uses the estimate while it is reliable."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("force_controller", **options)
@@ -125,7 +125,7 @@ class ForceControllerNode(Node):
             self._gains_topic.publish(String(data=gains))
 
     def _tare(self, force: float, now: float) -> None:
-        """Take the first moments, in the air, for the force's bias."""
+        """Use the first moments, in the air, for the force's bias."""
         self._started = self._started or now
         refusal = self._feed.refusal()
         unheard = refusal is not None and refusal.cause in (Cause.NEVER_HEARD, Cause.STALE)

@@ -6,7 +6,7 @@
 Subscribes to ``force`` and ``displacement``; publishes
 ``~/estimate``, ``~/classification``, ``~/palpation`` and ``/diagnostics``; offers ``~/reset``
 and ``~/tare``.
-Everything that computes is in :mod:`fden_ros.core`; what is there while the node is active is in
+All computation is in :mod:`fden_ros.core`; the state of an active node is in
 :mod:`fden_ros.nodes.session`.
 """
 
@@ -51,7 +51,7 @@ from fden_ros.parameters import (
 )
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
-#: Next to busy processes a node of their priority gets half a core: a contact at 1 kHz takes that.
+#: Next to busy processes a node of their priority gets half a core: a contact at 1 kHz needs that.
 _NICE = -10
 _ACKNOWLEDGE_TIMEOUT = 1.0
 _INACTIVE = "the node is not active: activate it first"
@@ -80,7 +80,7 @@ class Identifier(LifecycleNode):
     # Parameters
 
     def _declare_parameters(self) -> None:
-        """Declare; refuse an override that is unknown or not allowed, [0, 0, -1] is a list."""
+        """Declare; refuse an unknown override or one that is not allowed, [0, 0, -1] is a list."""
         given = {
             name: _plain(override.value) for name, override in self._parameter_overrides.items()
         }
@@ -122,21 +122,21 @@ class Identifier(LifecycleNode):
         return self._transition("configure", self._configure, undo=self._release)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start afresh and listen."""
+        """Start anew and listen."""
         activated: TransitionCallbackReturn = super().on_activate(state)
         if activated != TransitionCallbackReturn.SUCCESS:
             return activated
         return self._transition("activate", self._activate, undo=self._deactivate)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Report the open contact and fall silent."""
+        """Report the open contact and stop publishing."""
         result = self._transition("deactivate", self._deactivate)
         super().on_deactivate(state)
         self.get_logger().info(f"deactivated: silent until it is activated{self._by('activate')}")
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that configuring made."""
+        """Release everything that was configured."""
         return self._transition("clean up", self._release)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -150,7 +150,7 @@ class Identifier(LifecycleNode):
     def _transition(
         self, name: str, action: Callable[[], None], undo: Callable[[], None] = lambda: None
     ) -> TransitionCallbackReturn:
-        """Run a transition; say what goes wrong, because rclpy would swallow it."""
+        """Run a transition; report what goes wrong, because rclpy would swallow it."""
         with self._lock:
             try:
                 action()
@@ -170,7 +170,7 @@ class Identifier(LifecycleNode):
 
     def _configure(self) -> None:
         parameters = self._parameters_now()
-        # What it needs beside parameters, such as a library, is refused now and not when active.
+        # Other needs than parameters, such as a library, are refused now and not at activation.
         Pipeline(pipeline_config(parameters), lambda output: None)
         for topic in OUTPUT_TOPICS:
             self._publishers_made[topic.name] = self.create_lifecycle_publisher(
@@ -213,7 +213,7 @@ class Identifier(LifecycleNode):
         return f" (ros2 lifecycle set {self.get_fully_qualified_name()} {transition})"
 
     def start(self) -> bool:
-        """Configure and activate where ``autostart`` asks for it; return whether that was done."""
+        """Configure and activate if ``autostart`` is set; return whether that was done."""
         if not self.get_parameter("autostart").value:
             self.get_logger().info(
                 "unconfigured: it neither listens nor publishes until it is configured"
@@ -224,17 +224,17 @@ class Identifier(LifecycleNode):
         return self.trigger_configure() == success and self.trigger_activate() == success
 
     def finish(self) -> None:
-        """Report the open contact and let subscribers have it, before the process ends."""
+        """Report the open contact and let subscribers receive it, before the process ends."""
         with self._lock:
             if self._session is None:
                 return
             self._deactivate()
-        # Lifecycle publishers hand on what rclpy's publishers can do.
+        # Lifecycle publishers delegate to rclpy's publishers.
         for publisher in self._publishers_made.values():
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
     def destroy_node(self) -> None:
-        """Fall silent and release everything first, so that nothing is left in the middleware."""
+        """Stop and release everything first, so that nothing is left in the middleware."""
         with self._lock:
             self._release()
         super().destroy_node()
@@ -256,7 +256,7 @@ class Identifier(LifecycleNode):
         act: Callable[[Session], str | None],
         done: str,
     ) -> Trigger.Response:
-        """Do what a service is for; it returns None, or why it cannot be done now."""
+        """Run a service's action; it returns None, or why it is not possible now."""
         with self._lock:
             problem = _INACTIVE if self._session is None else act(self._session)
             if problem is not None:
@@ -274,7 +274,7 @@ def _plain(value: Any) -> Any:
 
 
 def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
-    """Return a parameter's description and range, as ROS tells them."""
+    """Return a parameter's description and range, in ROS's format."""
     descriptor = ParameterDescriptor(
         description=f"{parameter.description} [{parameter.unit}]",
         additional_constraints="; ".join(filter(None, more)),
@@ -305,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _ask_for_priority() -> str:
-    """Go before ordinary processes; return why that cannot be, or nothing."""
+    """Raise the process's priority; return why that is not possible, or nothing."""
     try:
         os.nice(_NICE)
     except PermissionError:
@@ -320,7 +320,7 @@ def _start(node: Identifier, problem: str) -> bool:
     if problem:
         node.get_logger().warning(problem)
     is_done = node.start()
-    # What is there by now stays: the collector need not look through it again and again.
+    # Present objects stay: the collector need not scan them again and again.
     gc.collect()
     gc.freeze()
     return is_done

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What keeps the inputs from the node: the topic, what was found there, and what mends it."""
+"""Problems of the inputs: the topic, what was found there, and the remedy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ListenedTo:
         if self._is_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
             found.append(self._say("reliability"))
         if self.stream in TRANSFORM_TOPICS:
-            # Many publish them, or none: what counts is whether they connect the frames.
+            # Many nodes publish them, or none: they have to connect the frames.
             return found
         if not publishers:
             return [self._nothing_publishes(node, expected)]
@@ -49,7 +49,7 @@ class ListenedTo:
         return found
 
     def lost(self, received: int, fastest: int, lost: int, dropped: int) -> list[str]:
-        """Return that messages were lost in the last second, and what mends it.
+        """Return that messages were lost in the last second, with the remedy.
 
         `received` and `fastest` were read in the last second, and in the fastest one so far;
         `lost` in the middleware, and `dropped` by the node, which computes too slowly.
@@ -72,7 +72,7 @@ class ListenedTo:
         return f"qos_overrides.{self.subscription.topic_name}.subscription.reliability"
 
     def _say(self, code: str, kind: str = "", other: str = "TOPIC", **values: object) -> str:
-        """Return a sentence of the table with what it names."""
+        """Return a sentence of the table with its values."""
         stream = self.stream
         names = {known: name for name, known in TYPE_NAMES[stream].items()}
         remap = f"-r {stream}:={other}"
@@ -85,7 +85,7 @@ class ListenedTo:
         return str(TOPICS[code].of(stream=stream, remap=remap, kind=kind, other=other, **values))
 
     def _nothing_publishes(self, node: Node, expected: str) -> str:
-        """Say so, and which other topic could be it, by choice one of its type."""
+        """Report it, and which other topic it could be, preferably one of its type."""
         kinds = set(TYPE_NAMES[self.stream].values())
         own = node.get_subscriber_names_and_types_by_node(node.get_name(), node.get_namespace())
         others = [
@@ -112,7 +112,7 @@ def pairing_problem(pipeline: Pipeline, inputs: Inputs) -> str | None:
 
 
 def clock_problem(node: Node) -> list[str]:
-    """Return that the time is that of a topic that nothing publishes, if so."""
+    """Return that nothing publishes the topic of the time, if so."""
     is_set = node.get_parameter("use_sim_time").value
     return [str(TOPICS["no clock"])] if is_set and not node.get_clock().now().nanoseconds else []
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How long after their samples estimates come, and what that asks for."""
+"""The delay of estimates behind their samples, and its remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 class Lag:
     """The ages of estimates when they were published [s].
 
-    The age of one is counted from when the middleware received the sample that completed it: the
+    An age is counted from when the middleware received the sample that completed the estimate: the
     stamp of a sample may be of a foreign or simulated clock.
     """
 
@@ -22,13 +22,13 @@ class Lag:
     _lags: list[float] = field(default_factory=list)
 
     def add(self, lag: float, *, is_late: bool) -> None:
-        """Take the age of one."""
+        """Add the age of one estimate."""
         self.newest = lag
         self.late_count += is_late
         self._lags.append(lag)
 
     def look(self) -> tuple[float, list[str]]:
-        """Return the largest age since the last look, and what is wrong."""
+        """Return the largest age since the last look, and the problem."""
         late, count, most = (
             self.late_count - self._late_before,
             len(self._lags),
@@ -40,6 +40,5 @@ class Lag:
             return most, []
         return most, [
             f"the machine is too slow: {late} of {count} estimates were late, up to {most:.2f} s "
-            "behind their samples; give the node a core or priority, or set estimate.period to "
-            "twice what it is"
+            "behind their samples; give the node a core or priority, or double estimate.period"
         ]

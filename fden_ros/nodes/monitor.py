@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What one identifier says, gathered for a view of it."""
+"""The outputs of one identifier, gathered for a view."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RATE_WINDOW = 2.0
 
 
 class Monitor:
-    """Hear everything that one identifier publishes; keep the newest.
+    """Receive everything that one identifier publishes; keep the newest.
 
     Owns an rclpy context.
 
@@ -77,7 +77,7 @@ class Monitor:
         spin_for(self._executor, seconds)
 
     def view(self) -> MonitorView:
-        """Return what is known now."""
+        """Return the present view."""
         now, heard = time.monotonic(), self._arrivals[-1] if self._arrivals else None
         while len(self._arrivals) > 1 and now - self._arrivals[0] > _RATE_WINDOW:
             self._arrivals.popleft()

@@ -20,7 +20,7 @@ from fden_ros.recording.reader import BagReader
 from fden_ros.ros.plain_node import plain_node
 
 _INPUT_TYPES = {*TYPE_NAMES["force"].values(), *TYPE_NAMES["displacement"].values()}
-#: Reliable queues keep messages to send them again.
+#: Reliable queues keep messages for a retransmission.
 _QUEUE = 20_000
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The nodes as programs: signals are noted before what a node needs is imported.
+"""The nodes as programs: signals are caught before the node's imports.
 
 ``python -m fden_ros.nodes.programs identifier`` is the program ``identifier``. The imports take a
 second; a terminal and a launch file both send Ctrl-C to a process, at any time.
@@ -21,7 +21,7 @@ _noted: list[int] = []
 
 
 def note_signals() -> list[int]:
-    """Note SIGINT and SIGTERM from now on; return the list of those that have come."""
+    """Catch SIGINT and SIGTERM from now on; return the list of those received."""
     for number in _NUMBERS:
         signal.signal(number, lambda caught, _: _noted.append(caught))
     return _noted

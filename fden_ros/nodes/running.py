@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run a node until SIGINT or SIGTERM, with its parameters; what is wrong comes in one line."""
+"""Run a node until SIGINT or SIGTERM, with its parameters; an error is one line."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from fden_ros.parameters import (
 
 _Node = TypeVar("_Node", bound=Node)
 
-#: How soon a signal is seen when nothing else happens [s].
+#: Longest delay of a signal when nothing else happens [s].
 _SPIN_TIMEOUT = 0.1
-#: A thread that computes hands over to messages after this time [s]: Python's is 5 ms.
+#: A computing thread yields to messages after this time [s]: Python's default is 5 ms.
 _SWITCH_INTERVAL = 0.0005
 _ROS_OPTIONS = ("--params-file", "-p", "--param", "-r", "--remap")
 _LOG_LEVELS = ("debug", "info", "warn", "error", "fatal", "unset")
@@ -64,7 +64,7 @@ def run_node(
     Parameters
     ----------
     name : str
-        What is before the line that says what is wrong.
+        Prefix of an error line.
     make : callable
         Returns the node.
     arguments : sequence of str, optional
@@ -91,7 +91,7 @@ def run_node(
 
 
 class _RefusedError(Exception):
-    """What was given at the start cannot be used."""
+    """The arguments cannot be used."""
 
 
 def _made(make: Callable[[], _Node], arguments: Sequence[str], needs_section: bool) -> _Node:
@@ -154,7 +154,7 @@ def spin(executor: Executor, stop: Callable[[], bool]) -> None:
 
 
 def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
-    """Check what of a command line is ROS's, before rcl reads it.
+    """Check the ROS arguments of a command line, before rcl reads them.
 
     Returns
     -------

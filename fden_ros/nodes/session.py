@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the identifier holds while it is active: subscriptions, pipeline, outputs.
+"""State of an active identifier: subscriptions, pipeline, outputs.
 
-One object an activation: what was learned before an interruption is not trusted after it.
+One object an activation: data from before an interruption are not trusted after it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.recording.message_types import message_class
 from fden_ros.ros.topics import INPUT_QOS, STATIC_QOS, OutputMessages
 
-#: Whether the input has stopped is looked at so often [s].
+#: Period of the check that the input has not stopped [s].
 _STALE_CHECK_PERIOD = 0.05
-#: A stale estimate is published again and again at this period [s].
+#: A stale estimate is repeated at this period [s].
 _STALE_PERIOD = 1.0
 
 
@@ -73,7 +73,7 @@ class Session:
         self._last_input = self._steady.now()
         self._said_stale: Time | None = None
         self._seen_pairs = self._seen_failures = 0
-        self.lacks = ""  #: the newest contact to converge, and what would help
+        self.lacks = ""  #: the newest contact to converge, and the remedy
         self._is_open = False
         self._lag_deadline = 0.0
         self._read_lag_deadline()
@@ -99,13 +99,13 @@ class Session:
             self._node.get_logger().info(words)
 
     def finish(self) -> None:
-        """Report the open contact; listen no more."""
+        """Report the open contact and stop listening."""
         self.pipeline.finish()
         self._log_failures()
         self.close()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._is_open = False
         self.backlog.clear()
         for one in self.listened_to:
@@ -115,13 +115,13 @@ class Session:
             self._node.destroy_timer(timer)
 
     def reset(self) -> str | None:
-        """Forget what was learned; return None, or why that cannot be done now."""
+        """Reset all that was learned; return None, or why that is not possible now."""
         problem = self.pipeline.reset()
         if problem is None:
             self.inputs.reset()
         return problem
 
-    # In
+    # Inputs
 
     def _subscribe(self, kind: str, topic: str) -> None:
         subscription = self._node.create_subscription(
@@ -130,7 +130,7 @@ class Session:
             lambda data: None,
             copy.copy(STATIC_QOS if topic == "/tf_static" else INPUT_QOS),
             callback_group=Taken(),
-            # The diagnostics say what is wrong, with the override that mends it.
+            # The diagnostics report the problem, with the override that solves it.
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions([QoSPolicyKind.RELIABILITY]),
             raw=True,
@@ -144,7 +144,7 @@ class Session:
                 return
             self.backlog.work()
 
-    # Out
+    # Outputs
 
     def _publish(self, output: Output) -> None:
         if isinstance(output, TissueState):
@@ -202,7 +202,7 @@ class Session:
                 f"no usable pair of force and displacement for {waited:.2f} s: the estimate is "
                 "stale"
             )
-        # Again and again, so that who comes late hears it too.
+        # Repeated for late subscribers.
         self._said_stale = now
         self._last_state = stale(self._last_state, self.pipeline.standing_flags)
         self._publish_messages(self._last_state)

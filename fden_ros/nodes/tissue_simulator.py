@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node ``tissue_simulator``: a probe on simulated tissue, as a robot's driver would show it.
+"""The node ``tissue_simulator``: a probe on simulated tissue, with the topics of a robot's driver.
 
-Takes ``command`` (sensor_msgs/JointState; the one array that is filled says what is commanded:
+Takes ``command`` (sensor_msgs/JointState; the one array that is filled is the command:
 position, velocity or effort of joint ``z``, or positions of ``x`` and ``y``), publishes ``force``
 and ``displacement``. The tissue itself is in :mod:`fden_ros.simulation`.
 """
@@ -42,8 +42,8 @@ PARAMETERS: tuple[tuple[str, Any, str], ...] = (
     ("force.bias", 0.05, "of the force sensor [N]"),
     ("displacement.rate", 250.0, "of the position [Hz]"),
     ("displacement.noise", 1e-6, "standard deviation per sample [m]"),
-    ("displacement.delay", 0.0, "how much too late the position is stamped [s]"),
-    ("command.delay", 0.01, "from a command to the axis taking it [s]"),
+    ("displacement.delay", 0.0, "delay of the stamps of the position [s]"),
+    ("command.delay", 0.01, "from a command to the response of the axis [s]"),
     ("command.timeout", 0.2, "a velocity becomes 0 after this time without a new command [s]"),
     ("axis.lag", 0.015, "time constant of the axis's velocity [s]"),
     ("axis.max_speed", 0.05, "[m/s]"),
@@ -58,7 +58,7 @@ _LONGEST_LAG = 30.0
 
 
 class TissueSimulator(Node):
-    """A simulated rig that keeps pace with the clock."""
+    """A simulated rig in step with the clock."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("tissue_simulator", **options)
@@ -84,7 +84,7 @@ class TissueSimulator(Node):
         due = int((time.monotonic() - self._began) / _STEP)
         late = (due - self._steps) * _STEP
         if late > _LONGEST_LAG:
-            # The world does not stand still while a driver is stopped: its stamps jump ahead.
+            # Time goes on while a driver is stopped: its stamps jump ahead.
             skipped = due - self._steps
             self._start_ns += round(skipped * _STEP * 1e9)
             self._began += skipped * _STEP

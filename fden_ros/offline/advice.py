@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What stands against a conclusion from a contact, and what would help."""
+"""Doubts about the result of a contact, and their remedies."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from fden_ros.core.estimation import Budget, Estimate
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
 from fden_ros.written import quantity, written
 
-#: Gn shows where the strain passes 1/Gn; at this many times of it, it surely has.
+#: Gn shows where the strain exceeds 1/Gn; at this multiple it surely has.
 _BEYOND_BOUNDARY = 1.5
-#: No soft tissue is pressed farther, as a part of its thickness or of the probe's radius.
+#: Largest strain of soft tissue in practice, as a part of its thickness or the probe's radius.
 _LARGEST_COMPRESSION = 0.7
-#: Flags that are why a contact has not converged, whatever its budget says.
+#: Flags that explain why a contact has not converged, whatever its budget.
 _REASONS = (Flag.TOUCH_NOT_OBSERVED, Flag.RIG_PRIOR_CONFLICT)
 
 
 def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what a contact that has not converged lacks, why, and what would help, or nothing."""
+    """Return the lack of a contact that has not converged, its cause and remedy, or nothing."""
     return str(_lack(summary, config) or "")
 
 
 def next_step(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what to do so that more of a place is known; empty where all is."""
+    """Return what to do to learn more of a place; empty where all is known."""
     return next((one.remedy for one in findings(summary, config) if one.remedy), "")
 
 
 def against_the_law(summary: ContactSummary) -> str:
-    """Return in one line what stands against G and Gn of a contact that lacks nothing else."""
+    """Return in one line the doubt about G and Gn of a contact that lacks nothing else."""
     found = [*_at_limit(summary.estimate), *_by_flag(summary)]
     return found[0].sentence if found else "the data do not determine them"
 
 
 def findings(summary: ContactSummary, config: PipelineConfig) -> Iterator[Advice]:
-    """Yield what stands against a conclusion, what counts most first."""
+    """Yield the doubts about a conclusion, the most important first."""
     estimate, lack = summary.estimate, _lack(summary, config)
     yield from _by_flag(summary)
     if lack is not None and lack not in FLAGS.values():
@@ -93,7 +93,7 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
 
 
 def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -> Advice:
-    """Return what a press lacks that hardly stiffened."""
+    """Return the lack of a press that hardly stiffened."""
     geometry = config.geometry
     wanted = _BEYOND_BOUNDARY * max(estimate.boundary_strain, summary.max_strain)
     compression = geometry.compression(wanted)
@@ -110,7 +110,7 @@ def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -
 def _largest(budget: Budget | None, index: int) -> tuple[str, str]:
     """Return the largest source of the variance of ln G or ln Gn, and its share in words.
 
-    What is open of Gn and alpha is so because of the others: these come first.
+    The uncertainty of Gn and alpha follows from the others, which come first.
     """
     names = budget.largest(index) if budget is not None else ()
     name = next((one for one in names if one != "prior"), "prior")

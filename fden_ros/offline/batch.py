@@ -3,8 +3,8 @@
 
 """An archive of recordings, identified by several processes: a table with a row a contact.
 
-The rows of a bag are in the table as soon as it is done. So a run that is interrupted goes on
-where it was: a bag whose rows are there is not done again.
+The rows of a bag are in the table as soon as it is done, so an interrupted run continues: a bag
+with rows in the table is not identified again.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from fden_ros.recording.reader import METADATA_FILE, is_bag_file
 from fden_ros.recording.source import Selection
 from fden_ros.tissues.library import load_library
 
-#: Of the bag: what it was identified with, what was chosen in it, what is wrong with it, its
-#: length, and how many contacts it has, which shows whether all of its rows are there.
+#: Of the bag: its configuration, its selection, its problems, its length, and its number of
+#: contacts, which shows whether all of its rows are there.
 _BAG_COLUMNS = (
     "bag", "configuration", "inputs", "error", "warnings", "seconds", "pairs", "contacts",
 )  # fmt: skip
 
 _HEADING = ",".join(_BAG_COLUMNS).encode()
-#: Tables that are taken from a folder; any is where it is named.
+#: Tables that are taken from a folder; a named table may be of any kind.
 _TABLES = (".csv", ".tsv")
-#: How the error of a recording begins that is done again the next time.
+#: Prefix of the error of a recording that the next run tries again.
 KILLED = "its worker was killed"
-#: Recordings that are handed out at once: the cores of a large cluster, and little memory.
+#: Recordings in work at once: the cores of a large cluster, and little memory.
 _UNDER_WAY = 1000
 
 Row = dict[str, Any]
@@ -58,7 +58,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Work:
-    """What every bag is identified with: parameters, and topics or fields."""
+    """The configuration of all bags: parameters, and topics or fields."""
 
     parameters: Parameters
     selection: Selection
@@ -75,7 +75,7 @@ def find_bags(places: Sequence[str]) -> list[Path]:
     """Return the recordings in folders, at paths and glob patterns, sorted, each once.
 
     A folder with a ``metadata.yaml`` is one; elsewhere each file of a bag is one, and each table
-    that does not come from here. A place that holds none is returned too: its row will say so.
+    that is not a result of this command. A place without any is returned too, for an error row.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def find_bags(places: Sequence[str]) -> list[Path]:
 
 
 def _matches(text: str) -> list[Path]:
-    """Return the places that there are at a path or a URL, or by a pattern."""
+    """Return the existing places for a path or a URL, or by a pattern."""
     path = place(text)
     if not is_remote(path):
         return [path] if path.exists() else list(map(Path, sorted(glob.glob(text))))
@@ -116,7 +116,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _bags_at(path: Path) -> Iterator[Path]:
-    # What is named is meant, whatever its name: if it is no bag, its row will say so.
+    # A named place is meant, whatever its name: if it is no bag, its row reports that.
     if not is_folder(path):
         yield path
         return
@@ -141,14 +141,14 @@ def _is_table(path: Path) -> bool:
 
 
 def identify(bag: str, work: Work) -> list[Row]:
-    """Return the rows of a bag: one a contact, or one that says that there is none, or why."""
+    """Return the rows of a bag: one a contact, or one that reports none, or an error."""
     row = _row(bag, work.digest())
     try:
         return _identify(row, work)
     except InputError as error:
         return [row | {"error": str(error)}]
     except Exception as error:
-        # One bag must not end a run of thousands, whatever is wrong with it.
+        # One bag must not end a run of thousands, whatever its error.
         return [row | {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"}]
 
 
@@ -185,7 +185,7 @@ def _identify(row: Row, work: Work) -> list[Row]:
 class Results:
     """The table: CSV, and next to it Parquet where the path says so.
 
-    Rows go to the CSV as they come. The Parquet file is made of it at the end.
+    Rows are written to the CSV at once. The Parquet file is made from it at the end.
 
     Raises
     ------
@@ -212,7 +212,7 @@ class Results:
         return bag in self._done
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep the rows of a bag; they are on the disk when this returns."""
+        """Add the rows of a bag; they are on the disk when this returns."""
         with _written(self.path):
             if not self._is_open:
                 self._write_anew()
@@ -227,7 +227,7 @@ class Results:
                 write_parquet(self.path, self._parquet)
 
     def _write_anew(self) -> None:
-        """Write the table without rows that are cut off."""
+        """Write the table without truncated rows."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         draft = self.path.with_name(f".{self.path.name}.part")
         with draft.open("w", encoding="utf-8", newline="") as file:
@@ -254,7 +254,7 @@ def _writer(file: Any) -> csv.DictWriter[str]:
 
 
 def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
-    """Yield the rows of each bag in a table; without a line that was cut off."""
+    """Yield the rows of each bag in a table, without a truncated line."""
     if not path.exists():
         return
     try:
@@ -269,7 +269,7 @@ def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
 
 
 def _is_whole(rows: Sequence[Row]) -> bool:
-    """Return whether all rows of a bag are there, and it can be relied on that they are."""
+    """Return whether all rows of a bag are there and reliable."""
     error, contacts = rows[0]["error"], rows[0]["contacts"]
     # A worker may not have the folder mounted yet.
     may_pass = error.startswith(KILLED) or NOT_REACHED in error or "does not exist" in error
@@ -284,7 +284,7 @@ def run(
     on_bag: Callable[[list[Row]], object],
     task: Callable[[str, Work], list[Row]] = identify,
 ) -> None:
-    """Identify `bags` in the processes of `pool`, keep each as it comes, and call `on_bag`.
+    """Identify `bags` in the processes of `pool`, keep each result, and call `on_bag`.
 
     Raises
     ------
@@ -314,7 +314,7 @@ def _rows_of(future: Future[list[Row]], bag: str, results: Results) -> list[Row]
     except CancelledError:
         raise InputError(f"the scheduler is gone: start it; {kept}") from None
     except Exception as error:
-        # Dask gives a task up when each of its workers was killed.
+        # Dask drops a task when each of its workers was killed.
         if type(error).__name__ != "KilledWorker":
             raise InputError(f"a worker cannot do it ({error}): {SAME_VERSION}") from None
         why = f"{KILLED} each time it was tried: does it have enough memory?"

@@ -9,11 +9,11 @@ from fden_ros.core.outputs import ContactSummary, Flag
 
 
 def known_stiffness(summary: ContactSummary) -> str:
-    """Return which stiffness is known: ``N/m`` by a law that nothing stands against, or ``slope``.
+    """Return which stiffness is known: ``N/m`` by an unflagged law, or ``slope``.
 
-    Empty where neither is. N/m has to be larger than one of its deviations, from where on it is
-    shown as a number. Where a unit is wrong nothing is known; where no touch was seen the law is
-    not, and the slope is.
+    Empty where neither is. N/m has to exceed one of its deviations, the limit for a number in
+    the tables. With a wrong unit nothing is known. If no touch was seen, the law is not known,
+    and the slope is.
     """
     if summary.flags & Flag.IMPLAUSIBLE:
         return ""
@@ -27,7 +27,7 @@ def known_stiffness(summary: ContactSummary) -> str:
 
 
 def known_alone(summary: ContactSummary) -> str:
-    """Return which stiffness is known of a press, and not G; empty where none is, or G too."""
+    """Return which stiffness of a press is known without G; empty where none is, or G too."""
     estimate = summary.estimate
     if summary.converged or summary.is_of_path or (estimate is not None and estimate.knows(0)):
         return ""

@@ -43,17 +43,17 @@ _FIELDS = {
 
 @dataclass(frozen=True)
 class Replay:
-    """What came out of a recording."""
+    """The result of a recording."""
 
     samples: int  #: pairs of force and displacement that went through the pipeline
     rejected: dict[str, int]
     warnings: tuple[str, ...]
     summaries: tuple[ContactSummary, ...]
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
-    parameters: Parameters  #: as given, with what the recording says or needs
-    set_by_recording: tuple[str, ...] = ()  #: what of them those are, a line each
-    failures: tuple[Failure, ...] = ()  #: what ended a contact and its site, the newest
-    #: Slopes of force over displacement where no contact was seen, and it was deepest.
+    parameters: Parameters  #: as given, with the recording's own values
+    set_by_recording: tuple[str, ...] = ()  #: those values, a line each
+    failures: tuple[Failure, ...] = ()  #: the newest, each of which ended a contact and its site
+    #: Slopes of force over displacement outside of contacts, at the deepest point.
     measured_unseen: Slopes = NOT_MEASURED
     never_lifts: bool = False  #: the probe palpates, so that its contacts are strokes
     is_air_doubted: bool = False  #: the force fell below its value in the air, by a wrong sign?
@@ -68,10 +68,10 @@ class Replay:
 
     @property
     def with_stiffness_alone(self) -> frozenset[int]:
-        """Numbers of the contacts of which N/m or the slope is known, and not G.
+        """Numbers of the contacts with known N/m or slope, but not G.
 
-        None where the force fell below its value in the air, and a sign may be wrong: then what is
-        taken for a contact may be the air.
+        None where the force fell below its value in the air, and a sign may be wrong: an apparent
+        contact may then be the air.
         """
         summaries = () if self.is_air_doubted else self.summaries
         return frozenset(s.contact_id for s in summaries if known_alone(s))
@@ -83,7 +83,7 @@ class Replay:
 
 
 class _Watched(Pipeline):
-    """A pipeline that shows each pair of samples before it takes it."""
+    """A pipeline that passes each pair of samples to a function first."""
 
     show: Callable[[Pair], None]
 
@@ -116,7 +116,7 @@ def replay_source(
     on_input: Callable[[int, RawMessage | None, Pipeline], None] = lambda *_: None,
     on_pair: Callable[[Pair], None] = lambda pair: None,
 ) -> Replay:
-    """Run what is read through the pipeline, and show its `progress` on standard error.
+    """Run a source through the pipeline, and show its `progress` on standard error.
 
     `on_output` is called with every output and the frame of the force, `on_input` before each
     message or row with its time of recording (ns), the message or None, and the pipeline, and
@@ -128,7 +128,7 @@ def replay_source(
         output = placed(output, source.displacement_frame)
         if isinstance(output, ContactSummary):
             if summaries and summaries[-1].contact_id == output.contact_id:
-                # The air after it has contradicted it.
+                # The air after the contact has contradicted it.
                 summaries.pop()
             summaries.append(output)
         on_output(output, source.frame)
@@ -167,7 +167,7 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     if len(odd) == len(pipeline.problems) and not summaries:
         code = "no contact" if pipeline.pair_count else "no pair"
         warnings.append(str(INPUTS[code]))
-    # What is assumed of the thickness, where G rests on it.
+    # The assumption about the thickness, where G depends on it.
     strains = [summary.max_strain for summary in summaries if summary.estimate is not None]
     if strains:
         geometry = pipeline.config.geometry
@@ -177,7 +177,7 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
 
 
 def result_object(result: Replay) -> dict[str, Any]:
-    """Return a replay as what ``fden replay --json`` prints."""
+    """Return a replay as the output of ``fden replay --json``."""
     return {
         "inputs": result.inputs,
         "set_by_recording": list(result.set_by_recording),
@@ -190,7 +190,7 @@ def result_object(result: Replay) -> dict[str, Any]:
 
 
 def contact_object(summary: ContactSummary) -> dict[str, Any]:
-    """Return one contact as a JSON-ready object; what was not estimated is null."""
+    """Return one contact as a JSON-ready object; null: not estimated."""
     estimate, budget, classes = summary.estimate, summary.budget, summary.classes
     low, high = summary.comparison.interval() if summary.comparison else (None, None)
     sets = ("observable", "converged", "prior_limit")

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The bag of results: what the node would have published, on the recording's own time."""
+"""The bag of results: the node's messages, on the recording's own time."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def replay_to_bag(
 ) -> Replay:
     """Replay a recording and write every output as the node would have published it.
 
-    A message's header stamp is that of the newest sample behind it, its time of recording that of
-    the input message that brought it about: played or shown together, both bags are in step.
+    A message's header stamp is that of the newest sample behind it. Its time of recording is that
+    of the input message that caused it: played or shown together, both bags are in step.
     Diagnostics come once a second of recording. The bag appears when it is complete, or not at
-    all; `overwrite` replaces one that is there.
+    all; `overwrite` replaces an existing one.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def replay_to_bag(
 
 
 class _Recorder:
-    """Writes outputs at the time of the input that they came from."""
+    """Writes outputs at the time of their input."""
 
     def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
@@ -77,10 +77,10 @@ class _Recorder:
             self._writer.write(f"{NODE}/{topic.name}", message, self._now_ns)
 
     def tick(self, log_time_ns: int, message: RawMessage | None, pipeline: Pipeline) -> None:
-        """Take note of the time of the next input, and write diagnostics when they are due."""
+        """Set the time of the next input, and write diagnostics when they are due."""
         due_ns = self._next_diagnostics_ns or log_time_ns + _DIAGNOSTICS_PERIOD_NS
         while due_ns <= log_time_ns:
-            # After a pause one message says that nothing came; the rest would say it again.
+            # After a pause one message reports that nothing came; more would repeat it.
             is_late = log_time_ns - due_ns >= 2 * _DIAGNOSTICS_PERIOD_NS
             self._diagnose(due_ns, pipeline)
             due_ns = (log_time_ns if is_late else due_ns) + _DIAGNOSTICS_PERIOD_NS

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a report shows of a recording: gathered while it is replayed, in bounded memory."""
+"""The content of a report on a recording: gathered during its replay, in bounded memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fden_ros.recording.source import Selection, is_table
 
 #: The first 60 contacts are shown in detail, of the others the summary.
 DETAILED_CONTACTS = 60
-#: More points than a curve needs, of a contact and of the recording.
+#: Sufficient points of a curve, of a contact and of the recording.
 _STATES_A_CONTACT, _STRETCHES = 700, 1500
 
 
@@ -38,7 +38,7 @@ class Contact:
     _count: int = 0
 
     def add(self, state: TissueState) -> None:
-        """Take the next state; a series that grows too long halves itself."""
+        """Add the next state; a series that grows too long halves itself."""
         if self._count % self._stride == 0:
             self.states.append(state)
             if len(self.states) >= _STATES_A_CONTACT:
@@ -56,7 +56,7 @@ class Trace:
         self.start_ns = self.end_ns = 0  #: of the first and the newest pair
 
     def add(self, pair: Pair) -> None:
-        """Take a pair of samples."""
+        """Add a pair of samples."""
         self.start_ns, self.end_ns = self.start_ns or pair.stamp_ns, pair.stamp_ns
         index = pair.stamp_ns // self._width_ns
         self._keep(index, (pair.force, pair.force, pair.displacement, pair.displacement))
@@ -103,7 +103,7 @@ def gather(
     *,
     progress: bool = False,
 ) -> Session:
-    """Replay a recording, as :func:`fden_ros.offline.replay.replay`, and keep what is shown."""
+    """Replay a recording as :func:`fden_ros.offline.replay.replay` does; keep the report data."""
     contacts: list[Contact] = []
     trace = Trace()
 

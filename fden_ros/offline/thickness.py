@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What it costs that a layer is taken for a thick one, or for a column: in one line."""
+"""The cost of treating a layer as a thick tissue, or as a column: in one line."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from fden_ros.core.law import FlatPunch, Geometry, Sphere, hayes_factor
 from fden_ros.core.plausibility import UNKNOWN_AREA
 from fden_ros.written import quantity
 
-#: So far off a thick tissue is taken as good [1].
+#: Up to this error a tissue counts as thick [1].
 _GOOD = 1.1
-#: The change of the thickness that is shown: 2 mm, or this part of it where that is less [m, 1].
+#: The shown change of the thickness: 2 mm, or this part of it where that is less [m, 1].
 _CHANGE, _PART = 2e-3, 0.3
-#: Hayes' factor is meant up to this radius over the thickness [1].
+#: Hayes' factor applies up to this radius over the thickness [1].
 _WIDEST = 4.0
 
 
 def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
-    """Return what is assumed of the layer, and its cost at the deepest indentation [m]; or empty.
+    """Return the assumption about the layer, and its cost at the largest indentation [m].
 
-    Of a layer that is stated, and no wider pressed than it is thick, nothing is assumed.
+    Empty for a stated layer that is no thinner than the contact is wide: it needs no assumption.
     """
     if geometry.is_stated and isinstance(geometry, Sphere) and math.isinf(geometry.thickness):
         return _of_sphere(geometry, deepest)
@@ -66,7 +66,7 @@ def _of_face(punch: FlatPunch) -> str:
 
 
 def _raised(layer: Sphere, depth: float) -> float:
-    """Return by what factor the layer raises the force of a thick tissue [1]."""
+    """Return the factor by which the layer raises the force of a thick tissue [1]."""
     compression = min(depth, layer.thickness) / layer.radius
     return layer.strain(compression) / compression**layer.exponent
 

@@ -3,7 +3,7 @@
 
 """Processes that identify recordings: of this machine, or of a cluster of Dask.
 
-Each is an executor of :mod:`concurrent.futures`, which ends what it has begun when it is left.
+Each is an executor of :mod:`concurrent.futures`; leaving it ends the tasks that have begun.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ SAME_VERSION = f"install fden_ros {__version__} and the same tissue library on e
 def local(count: int) -> Iterator[Executor]:
     """Give `count` processes of this machine."""
     others = multiprocessing.active_children()
-    # A fork would take the threads of the numerics with it.
+    # A fork would copy the threads of the numerics.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(count, context, initializer=_ignore_interrupts)
     try:
         yield pool
     except KeyboardInterrupt:
-        # What they are at is not kept: nobody waits for it.
+        # Unfinished tasks are dropped: nobody waits for them.
         for process in set(multiprocessing.active_children()) - set(others):
             process.terminate()
         raise

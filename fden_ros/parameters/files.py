@@ -153,8 +153,8 @@ def check_types(name: str, value: object) -> None:
         if all(type(v) in (int, float) for v in value):
             hint = f": write {[float(v) for v in value]}"
         raise InputError(
-            f"parameter {name} is {value}, which ROS 2 does not read, because whole numbers and "
-            f"others, or other types, are mixed{hint}"
+            f"parameter {name} is {value}, which ROS 2 cannot read, because it mixes whole "
+            f"numbers and others, or other types{hint}"
         )
 
 

@@ -32,12 +32,12 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
     if core.is_continuous and len(core.dither_frequencies) > 1:
         raise InputError(
             f"dither.frequencies has {len(core.dither_frequencies)} frequencies: with "
-            "contact.mode continuous give that of the palpation alone, or 0 to find it"
+            "contact.mode continuous give only that of the palpation, or 0 to find it"
         )
     if core.estimator.friction and not core.estimator.uncertainty.friction_sd:
         raise InputError(
             f"force.friction is {core.estimator.friction} and force.friction_sd is 0: a friction "
-            "counts only with a standard deviation, 0.001 say"
+            "is used only with a standard deviation, such as 0.001"
         )
     axis, stated = (
         unit_vector(parameters.displacement.axis),

@@ -40,11 +40,11 @@ class ForceInput:
     message: str = parameter(
         "force.message",
         "wrench",
-        "Type of the live force topic; a bag says its own.",
+        "Type of the live force topic; a bag states its own.",
         choices=tuple(FORCES),
     )
     inverted: bool = parameter(
-        "force.inverted", False, "true where a joint's effort falls as the probe presses."
+        "force.inverted", False, "true if the joint's effort falls as the probe presses."
     )
     name: str = parameter("force.name", "", "Joint whose effort is the force; empty: the first.")
 
@@ -67,8 +67,8 @@ class DisplacementInput:
     message: str = parameter(
         "displacement.message",
         "joint_state",
-        "Type of the live displacement topic; a bag says its own. tf: the motion of frames.probe "
-        "in frames.base.",
+        "Type of the live displacement topic; a bag states its own. tf: the motion of "
+        "frames.probe in frames.base.",
         choices=(*PLACES, "tf"),
     )
     name: str = parameter(
@@ -77,7 +77,7 @@ class DisplacementInput:
     inverted: bool = parameter(
         "displacement.inverted",
         False,
-        "true where a joint's position falls as the probe goes into the tissue.",
+        "true if the joint's position falls as the probe moves into the tissue.",
     )
     surface_normal: Vector = parameter(
         "surface.normal",
@@ -95,20 +95,20 @@ class FrameNames:
     base: str = parameter(
         "frames.base",
         "",
-        "Frame of force.axis, into which forces are turned by the transforms at their stamps; "
+        "Frame of force.axis; forces are rotated into it by the transforms at their stamps; "
         "empty: no transform is used.",
     )
     probe: str = parameter(
         "frames.probe",
         "",
-        "Frame of the probe's tip, whose motion is the displacement where displacement.message "
-        "is tf; also of forces without a frame.",
+        "Frame of the probe's tip. Its motion is the displacement if displacement.message is tf; "
+        "forces without a frame are in it.",
     )
 
 
 @dataclass(frozen=True)
 class NodeSettings:
-    """What the node does beside the identification."""
+    """Settings of the node other than the identification."""
 
     autostart: bool = parameter(
         "autostart",
@@ -144,8 +144,8 @@ class Parameters:
     stamp_source: str = parameter(
         "synchronize.stamp_source",
         "header",
-        "Whose time a sample has: its message's header, or its receipt (of a bag: its recording), "
-        "which jitters: for drivers that stamp with 0, or by two clocks.",
+        "Time of a sample: from the message's header, or its receipt (in a bag, its recording). "
+        "The receipt jitters; use it for drivers that stamp with 0, or from two clocks.",
         choices=("header", "receive"),
     )
     geometry: GeometryConfig = field(default_factory=GeometryConfig)

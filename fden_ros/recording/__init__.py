@@ -3,6 +3,6 @@
 
 """Recordings: bags and text tables, read and written without ``ros2 bag``.
 
-What cannot be read or written raises :class:`~fden_ros.errors.InputError`: one line that says what
-is wrong and what would be right.
+Invalid input or output raises :class:`~fden_ros.errors.InputError`: one line with the problem
+and its solution.
 """

@@ -61,7 +61,7 @@ class Topic:
 
 @dataclass
 class BagFile:
-    """What one file of a bag holds; the messages themselves are read on demand."""
+    """The content of one file of a bag; the messages themselves are read on demand."""
 
     path: Path
     #: Yields topic, time of recording (ns) and bytes of the messages of some topics, by time.
@@ -74,7 +74,7 @@ class BagFile:
     def messages(self, wanted: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of some topics by time of recording, those of ROS 1 as CDR.
 
-        Where the file breaks, that joins the warnings.
+        If the file breaks, a warning is added.
         """
         types = {topic.name: topic.type_name for topic in self.topics if topic.name in wanted}
         convert = {t.name: _from_ros1(t) for t in self.topics if t.encoding == _ROS1}
@@ -83,7 +83,7 @@ class BagFile:
                 if name in convert:
                     data = convert[name](data)
                 yield RawMessage(name, types[name], time_ns, bytes(data))
-        except Exception as error:  # for damaged bytes the packages let through every kind
+        except Exception as error:  # for damaged bytes the packages raise every kind
             warning = f"{self.path.name} is damaged: the rest of it is lost ({_reason(error)})"
             if warning not in self.warnings:
                 self.warnings.append(warning)
@@ -102,7 +102,7 @@ def _from_ros1(topic: Topic) -> Callable[[bytes], Any]:
 
 
 def read_mcap(path: Path) -> BagFile | None:
-    """Return what an MCAP file at `path` holds by its index; None without a usable one."""
+    """Return the content of an MCAP file at `path` by its index; None without a usable one."""
     try:
         with opened(path) as stream:
             summary = SeekingReader(stream).get_summary()
@@ -113,7 +113,7 @@ def read_mcap(path: Path) -> BagFile | None:
         )
         if not is_whole or bool(summary.chunk_indexes) != bool(total):
             return None
-        # Those with messages first: they say what the topic is.
+        # Those with messages first: they describe the topic.
         channels = sorted(summary.channels.values(), key=lambda channel: channel.id not in counts)
     except Exception:  # for bytes that are no MCAP the package lets through every kind
         return None
@@ -132,7 +132,7 @@ def read_mcap(path: Path) -> BagFile | None:
 
 
 def scan_mcap(path: Path) -> BagFile:
-    """Return what an MCAP file without an index holds: what stands before its end, or a cut."""
+    """Return the content of an MCAP file without an index: up to its end, or a cut."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     counts: Counter[int] = Counter()
@@ -167,7 +167,7 @@ def scan_mcap(path: Path) -> BagFile:
 
 
 def cut_short(path: Path) -> InputError:
-    """Return what is wrong with a file that holds too little."""
+    """Return the problem of a file that holds too little."""
     size = path.stat().st_size
     return InputError(f"{path} is cut off before its first topic, at {size} bytes: copy it anew")
 
@@ -211,7 +211,7 @@ def _with_channels(
 
 
 def read_rosbag(path: Path, *, is_ros1: bool = False) -> BagFile:
-    """Return what a sqlite3 file, a folder of rosbag2 or a bag of ROS 1 at `path` holds."""
+    """Return the content of a sqlite3 file, a folder of rosbag2 or a bag of ROS 1 at `path`."""
     opened_bag: Any = functools.partial(Ros1Reader if is_ros1 else Ros2Reader, path)
 
     def read(wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:

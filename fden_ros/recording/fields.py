@@ -24,13 +24,13 @@ from fden_ros.recording.topics import RESULTS
 
 _PATH = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)*")
 _STEP = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
-#: Messages of a topic that are looked at, spread over the bag: enough for a range.
+#: Messages of a topic that are examined, spread over the bag: enough for a range.
 _SAMPLES = 1000
-#: Elements of a sequence that are looked at: more than an arm has joints, less than an image.
+#: Elements of a sequence that are examined: more than an arm has joints, less than an image.
 _ELEMENTS = 16
-#: Lines of a listing that a person still reads.
+#: Largest readable number of lines of a listing.
 _LINES = 60
-#: What cannot be a measurement of a press, whatever its values.
+#: Fields that cannot be a measurement of a press, whatever their values.
 _SKIPPED = {"header", "stamp", "layout", "orientation", "rotation"}
 #: Types without a number of their own: of many frames, or of bytes that are no numbers.
 _PACKED = (
@@ -43,19 +43,19 @@ _PACKED = (
 
 @dataclass(frozen=True)
 class FieldPath:
-    """Where in a message a number or a vector lies."""
+    """The place of a number or a vector in a message."""
 
     text: str  #: names joined by dots, indices in brackets: ``wrench.force.z``, ``data[2]``
 
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.text) is None:
             raise InputError(
-                f"{self.text!r} is no path of a field: expected one such as wrench.force.z or "
-                "data[2]"
+                f"{self.text!r} is not the path of a field: expected one such as wrench.force.z "
+                "or data[2]"
             )
 
     def of(self, message: Any) -> Any:
-        """Return what lies there; an IndexError says that a sequence is too short."""
+        """Return the value there; an IndexError says that a sequence is too short."""
         for name, index in _STEP.findall(self.text):
             if index:
                 message = message[int(index)]
@@ -92,7 +92,7 @@ class FieldPath:
 
 
 def decoder_of(topic: Topic) -> Callable[[bytes], Any]:
-    """Return what decodes a topic's messages, by the definition that the bag carries."""
+    """Return a decoder of a topic's messages, by the definition in the bag."""
     types = None
     if topic.definition:
         with contextlib.suppress(InputError):
@@ -111,7 +111,7 @@ def _field_names(message: Any) -> list[str]:
 
 
 def hint_of(reader: BagReader, unclear: Collection[str]) -> Callable[[], Hint]:
-    """Return what lists a bag's numbers, and the options that name one for each of `unclear`."""
+    """Return a listing of a bag's numbers, and the options that name one for each of `unclear`."""
 
     def hint() -> Hint:
         options = [

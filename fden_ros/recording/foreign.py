@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files of other programs, neither bags nor text tables, and what makes a table of them."""
+"""Files of other programs, neither bags nor text tables, and how to convert them."""
 
 from __future__ import annotations
 
 _AS_CSV = "save its columns as CSV"
-#: By the first bytes of a file: what it is, and what to do.
+#: By the first bytes of a file: its kind, and what to do.
 _KINDS: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
     (b"PK\x03\x04", "it is a zip archive or a workbook: unpack it, or save its sheet as CSV"),
     (b"\xd0\xcf\x11\xe0", "it is a workbook: save its sheet as CSV"),
@@ -26,6 +26,6 @@ _KINDS: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
 
 
 def reason_of(head: bytes) -> str:
-    """Return what a file of another program is and what to do, by its first bytes; "": unknown."""
+    """Return the kind of a foreign file and what to do, by its first bytes; "": unknown."""
     begin = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     return next((reason for magic, reason in _KINDS if begin.startswith(magic)), "")

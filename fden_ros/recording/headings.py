@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the headings of a table say: which column is which quantity; units and their factors."""
+"""The headings of a table: which column is which quantity; units and their factors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 _GRAVITY = 9.80665
 _POUND = 4.4482216152605
 
-#: What stands in brackets in a heading, as a unit does.
+#: Bracketed text in a heading, such as a unit.
 BRACKETED = re.compile(r"[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]")
 #: By quantity: unit and its factor to s, N, m, Pa, a ratio.
 UNITS: dict[str, dict[str, float]] = {
@@ -41,7 +41,7 @@ UNITS: dict[str, dict[str, float]] = {
     },
     "area": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6, "in2": 0.0254**2},
 }  # fmt: skip
-#: Small letters alone would make torque of this a length.
+#: In small letters alone a torque would look like a length.
 _TORQUE = "Nm"
 #: Micro is spelled u, a square 2.
 _SPELLING = str.maketrans("µμ²", "uu2", "^ ")
@@ -68,7 +68,7 @@ _DERIVED = {
     "limit", "max", "min", "peak",
 }  # fmt: skip
 _MEASURED = {"measured", "actual", "real", "feedback", "meas", "act", "sensed", "encoder", "ist"}
-#: What is wanted rather than measured, in headings and in names of topics.
+#: Words of commanded values, in headings and in names of topics.
 COMMANDED = {
     "setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo", "cmd",
     "demand", "nominal", "planned", "set", "ref", "wanted", "soll",
@@ -89,7 +89,7 @@ class Heading:
 
     @property
     def words(self) -> list[str]:
-        """Its words in small letters, without what stands in brackets."""
+        """Its words in small letters, without bracketed text."""
         text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", BRACKETED.sub(" ", self.text))
         return [word for word in re.split(r"[\W_]+", text.lower()) if word]
 
@@ -111,7 +111,7 @@ class Heading:
         return self.names(quantity) and set(self.words) & WORDS[quantity] <= _LETTERS
 
     def factor(self, quantity: str) -> float | None:
-        """Return the factor to SI of the unit that it states, or None.
+        """Return the factor to SI of its unit, or None.
 
         In capitals alone MN may be mN too, and states none. Fields of messages are in SI units.
         """
@@ -138,7 +138,7 @@ class Heading:
 
     @property
     def has_unit(self) -> bool:
-        """Whether it states a unit of whatever quantity."""
+        """Whether it states a unit of any quantity."""
         return any(self.factor(quantity) is not None for quantity in UNITS)
 
     def _is_of_a_message(self, quantity: str) -> bool:
@@ -147,7 +147,7 @@ class Heading:
 
     @property
     def rank(self) -> int:
-        """2: measured by its words, 0: commanded, 1: neither is said."""
+        """2: measured by its words, 0: commanded, 1: neither."""
         words = set(self.words)
         words |= {match[1] for match in map(_GERMAN.fullmatch, words) if match}
         if words & COMMANDED:
@@ -163,7 +163,7 @@ def candidates(
 ) -> list[tuple[int, float | None]]:
     """Return the columns that can be a quantity, and their factors to SI, the best of them.
 
-    Measured is better than what does not say, and that better than commanded; a word is better
+    Measured is better than unspecified, and that better than commanded. A word is better
     than a letter, and of these a column with a unit is better than one without, whose factor is
     None.
 

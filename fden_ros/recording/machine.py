@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a testing machine's recording needs: it begins at the touch, tared, with a known specimen.
+"""A testing machine's recording: it begins at the touch, tared, with a known specimen.
 
-There is no air in it, so nothing of it shows the force's bias, nor where the tissue begins: the
-bias is 0, by the machine's tare, and the contact point is the first sample's displacement. That
-is so where the preamble states a specimen, or by ``--from-touch``; it is never guessed.
+It has no air, so it shows neither the force's bias nor the contact point. The bias is 0, by the
+machine's tare, and the contact point is the first sample's displacement. This applies where
+the preamble states a specimen, or with ``--from-touch``; it is never guessed.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from fden_ros.recording.table import TableReader
 
 #: A machine presses harder than a robot may: the largest of them have 600 kN.
 _PLAUSIBLE_FORCE = 1e6
-#: A table looks as if it began at the touch where its force is 0 before the probe has moved, by
-#: this part of the largest, and where at this part of the way it has this part, and so many
-#: deviations: a tenth of the way is 3 % of a sphere's force, .5 % where the tissue stiffens.
+#: A table seems to begin at the touch where its force is 0 before the probe has moved, within
+#: this part of the largest, and where at this part of the path it has this part, and this many
+#: deviations: a tenth of the path is 3 % of a sphere's force, .5 % where the tissue stiffens.
 _AT_REST, _AT_ZERO, _WAY, _RISEN, _RISEN_SD = 0.01, 0.01, 0.1, 0.005, 4.0
-#: Fewer rows show nothing; of so many the median is taken.
+#: Fewer rows show nothing; medians are over this many.
 _LEAST_ROWS, _MEDIAN = 12, 5
 _SIZE = re.compile(
     r"(?P<name>[^\W\d_][^\d:=;,\t]*?)[\s\"]*(?:[(\[]\s*(?P<before>[^)\]\d]+\d?)\s*[)\]])?"
@@ -43,10 +43,10 @@ _WORDS = {
 def machine_values(
     table: TableReader, parameters: Parameters, from_touch: bool | None
 ) -> tuple[dict[str, Value], tuple[str, ...], tuple[str, ...]]:
-    """Return values of parameters that a table states, a line on each, and what is to be stated.
+    """Return values of parameters that a table states, a line on each, and open questions.
 
-    What is configured otherwise is left alone. `from_touch` states whether the table begins at the
-    touch, tared; None: as its preamble says.
+    Parameters that are already configured stay. `from_touch` states whether the table begins at
+    the touch, tared; None: as its preamble states.
     """
     sizes = sizes_of(table.layout.preamble)
     values = _unstated(sizes, parameters)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Message types: what decodes and encodes them (the package ``rosbags``), and their classes.
+"""Message types: their classes, and how to decode and encode them (the package ``rosbags``).
 
 A decoded message has the fields of its ROS class; sequences of numbers are numpy arrays.
 """
@@ -28,7 +28,7 @@ from fden_ros.errors import InputError
 _TYPE_NAME = re.compile(r"(?P<package>\w+)/(?:msg/)?(?P<name>\w+)")
 _HEADER = "std_msgs/msg/Header"
 _BYTES = {"byte": "uint8", "octet": "uint8", "char": "uint8"}
-#: rclpy appends up to so many bytes; fields of another version of the type are more.
+#: rclpy appends up to this many bytes; fields of another version of the type are more.
 _PADDING = 8
 
 
@@ -36,7 +36,7 @@ def full_type_name(type_name: str) -> str:
     """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise InputError(f"{type_name!r} is no message type: expected package/msg/Name")
+        raise InputError(f"{type_name!r} is not a message type: expected package/msg/Name")
     return f"{match['package']}/msg/{match['name']}"
 
 
@@ -106,9 +106,9 @@ def type_hash(type_name: str, types: Typestore | None = None) -> str:
 
 
 def decoder(type_name: str, types: Typestore | None = None) -> Callable[[bytes], Any]:
-    """Return what makes a message of its CDR bytes, by the types that a bag carries or known ones.
+    """Return a decoder of CDR bytes, by the types that a bag carries or known ones.
 
-    It raises an error of whatever kind for bytes that do not fit.
+    It raises errors of any kind for bytes that do not fit.
     """
     store: Any = types or known_types(type_name)
     kind = store.get_msgdef(type_name)
@@ -141,7 +141,7 @@ def serialize(message: Any) -> bytes:
 def _of_class(store: Any, name: str, message: Any) -> Any:
     """Return an instance of a ROS class as one of the store's, field by field."""
     fields = store.get_msgdef(name).fields
-    # What has no fields has a byte, by which its class need not have.
+    # A type without fields has a byte, which its class need not have.
     return store.types[name](
         **{field: _converted(store, kind, getattr(message, field, 0)) for field, kind in fields}
     )

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a recording is: a path of this machine, or a URL of another that fsspec opens.
+"""The place of a recording: a path of this machine, or a URL of another that fsspec opens.
 
-A URL becomes what ``upath`` makes of it, which is used as a path is.
+``upath`` makes of a URL an object that is used like a path.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from typing import Any
 from fden_ros.errors import InputError
 
 EXTRA = "pip install '.[cluster]' in the folder of fden_ros"
-#: What the line of an error says that another try may not meet.
+#: End of an error line that another try may not meet.
 NOT_REACHED = "cannot be reached"
 #: Packages by which fsspec reaches other machines: their errors are of the place.
 _CLIENTS = ("aiobotocore", "aiohttp", "asyncssh", "botocore", "fsspec", "s3fs", "sshfs")
 _NOT_FOUND = 404
-#: What little is read of a large file is read in pieces of so many bytes.
+#: A large file of which little is needed is read in pieces of this many bytes.
 _PIECE = 1 << 16
 
 
 @contextmanager
 def needs_extra(what: str) -> Iterator[None]:
-    """Say what to install where a package of the extra is missing."""
+    """Name what to install where a package of the extra is missing."""
     try:
         yield
     except ImportError as error:
@@ -36,7 +36,7 @@ def needs_extra(what: str) -> Iterator[None]:
 
 
 def place(where: str | Path) -> Path:
-    """Return a path or, of a URL, what is used as one."""
+    """Return a path, or the object that stands for a URL."""
     if not isinstance(where, str):
         return where
     if "://" not in where:
@@ -79,7 +79,7 @@ def is_remote(path: Path) -> bool:
 
 @contextmanager
 def reached(path: Path) -> Iterator[None]:
-    """Say in one line why a URL cannot be read."""
+    """Return in one line why a URL cannot be read."""
     try:
         yield
     except Exception as error:
@@ -104,7 +104,7 @@ def _is_there(path: Path) -> bool:
     try:
         path.stat()
     except FileNotFoundError as error:
-        # fsspec says so of whatever the web answers, and where nothing does.
+        # fsspec reports this for any answer of the web, and for none.
         cause = error.__cause__
         is_of_web = type(cause).__module__.startswith("aiohttp")
         if cause is not None and is_of_web and getattr(cause, "status", 0) != _NOT_FOUND:
@@ -137,7 +137,7 @@ def copied(path: Path, folder: str | Path) -> Path:
 
 @contextmanager
 def called(copy: Path, path: Path) -> Iterator[None]:
-    """Name the URL, not its copy, in what is wrong with it."""
+    """Name the URL, not its copy, in errors."""
     try:
         yield
     except InputError as error:

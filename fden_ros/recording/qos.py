@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Quality of service of a bag's topic: what of it a subscriber must match."""
+"""Quality of service of a bag's topic, which a subscriber must match."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Qos:
-    """What a publisher offers; bags may say ``unknown`` and ``system_default`` of each."""
+    """The offer of a publisher; bags may have ``unknown`` and ``system_default`` for each."""
 
     reliability: str = "reliable"  #: or ``best_effort``
     durability: str = "volatile"  #: or ``transient_local`` (latched)
@@ -26,7 +26,7 @@ class Qos:
 
     @staticmethod
     def from_profile(profile: QoSProfile) -> Qos:
-        """Return what a bag says of a topic that is published with a ``rclpy`` profile."""
+        """Return the entry of a bag for a topic that is published with a ``rclpy`` profile."""
         names = profile.reliability.name, profile.durability.name
         return Qos(names[0].lower(), names[1].lower(), profile.depth)
 
@@ -35,7 +35,7 @@ class Qos:
         """Return the profiles of a bag, from YAML or as read; none where it cannot be read."""
         try:
             found = parse_qos(offered) if isinstance(offered, str) else offered or ()
-        except Exception:  # of a parser, for whatever text
+        except Exception:  # a parser raises any kind for arbitrary text
             return ()
         return tuple(
             Qos(one.reliability.name.lower(), one.durability.name.lower(), max(0, one.depth))
@@ -48,7 +48,7 @@ class Qos:
         return self.durability == "transient_local"
 
     def to_bag(self) -> interfaces.Qos:
-        """Return what a writer of bags takes."""
+        """Return the profile for a writer of bags."""
         always: Any = interfaces.QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
         return interfaces.Qos(
             interfaces.QosHistory.KEEP_LAST,

@@ -72,7 +72,7 @@ class BagReader:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the bag, a line each; damage joins where it is read."""
+        """The problems of the bag, a line each; damage is added when it is read."""
         return (*self._warnings, *(line for file in self._files for line in file.warnings))
 
     @property

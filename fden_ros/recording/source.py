@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a replay reads: a bag or a table, message by message or row by row, into the pipeline."""
+"""The input of a replay: a bag or a table, message by message or row by row, into the pipeline."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from fden_ros.recording.topics import (
 _ALWAYS = ("force", "displacement")
 _JOINTS = TYPE_NAMES["force"]["joint_state"]
 
-#: Line of a parameter file that says what in a recording is force and displacement, as options.
+#: Line of a parameter file with the options for force and displacement of a recording.
 SELECTION_LINE = "# Recording: "
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Where in a recording force, displacement and the like are; what is not named is found.
+    """The sources of force, displacement and the like in a recording; unnamed ones are found.
 
     A field is one of that topic's messages, of whatever type they are: a number, or a vector that
     is projected on the configured axis.
@@ -101,7 +101,7 @@ def _open_table(path: Path, parameters: Parameters, selection: Selection) -> Row
     ):
         if is_set:
             raise InputError(
-                f"{name} asks for {what}, which a table does not hold: unset it, or replay a bag"
+                f"{name} needs {what}, which a table does not hold: unset it, or replay a bag"
             )
     with TemporaryDirectory(prefix="fden_") as folder:
         with reached(path):
@@ -199,7 +199,7 @@ class BagSource:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was wrong with the bag."""
+        """The problems of the bag."""
         return (*self.stamp_problems, *self.reader.warnings, *self._notes)
 
     @property
@@ -217,8 +217,8 @@ class BagSource:
     ) -> Iterator[int]:
         """Feed `sink` the messages in the order of their recording, and yield the steps done.
 
-        `before` is called with the time of recording (ns) and the message before its sample goes
-        in. Inputs take the measurements as they are.
+        `before` is called with the time of recording (ns) and the message before its sample is
+        added. Inputs add the measurements unchanged.
         """
         self._inputs = inputs = inputs_of(self.parameters, sink)
         if inputs is not sink:
@@ -235,7 +235,7 @@ class BagSource:
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of topics.
 
-        What is wrong with the stamps of force, displacement and the like joins the warnings.
+        Problems of the stamps of force, displacement and the like are added to the warnings.
         """
         if self._is_stamped:
             stamps: dict[str, list[tuple[int, int]]] = {}
@@ -255,7 +255,7 @@ class BagSource:
                 yield decode(message.data), message.log_time_ns
 
     def _note_joints(self) -> None:
-        """Say which of several joints is taken where none is named."""
+        """Warn which of several joints is used where none is named."""
         for stream, topic in self._measured.items():
             is_named = stream in self._paths or getattr(self.parameters, stream).name
             if is_named or topic.type_name != _JOINTS:
@@ -268,7 +268,7 @@ class BagSource:
                     )
 
     def _handler(self, stream: str, topic: Topic, inputs: Inputs) -> Callable[[RawMessage], None]:
-        """Return what feeds the messages of a topic."""
+        """Return the function that feeds the messages of a topic."""
         decode, path = decoder_of(topic), self._paths.get(stream)
 
         def handle(message: RawMessage) -> None:
@@ -313,10 +313,10 @@ class RowSource:
 
     #: Stamps [ns], force [N] and displacement [m], shape (n,) each; NaN where a row has none.
     columns: tuple[Any, Array, Array]
-    parameters: Parameters  #: with what the table says or needs
+    parameters: Parameters  #: with the table's own values
     inputs: dict[str, str]  #: column of each quantity
-    warnings: tuple[str, ...] = ()  #: what is wrong with it, or is to be stated
-    set_by_recording: tuple[str, ...] = ()  #: what of the parameters the table says, a line each
+    warnings: tuple[str, ...] = ()  #: its problems and open questions
+    set_by_recording: tuple[str, ...] = ()  #: the parameters from the table, a line each
     frame: str = ""
     displacement_frame: str = ""
 

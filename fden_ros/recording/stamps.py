@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whose time a message of a bag has: its header's, or that of its recording."""
+"""The time of a bag's message: its header's, or that of its recording."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 #: Messages at the beginning of a topic whose stamps are looked at.
 LOOKED_AT = 200
-#: Two topics of one clock are recorded with least delays that differ by less than this [s]: a
-#: message waits for no longer. Of 0.4 s between force and displacement a third of N/m is left.
+#: The least delays of two topics of one clock differ by less than this [s]: no message waits for
+#: longer. With 0.4 s between force and displacement a third of N/m remains.
 _SAME_CLOCK = 0.1
-#: Fewer equal stamps may be chance.
+#: Fewer equal stamps may be coincidence.
 _STANDSTILL = 10
-#: Where fewer stamps are different, by this part, the clock is too coarse; a half is a driver that
+#: The clock is too coarse where a smaller part of the stamps is different; a half is a driver that
 #: sends each value twice.
 _DIFFERENT = 0.4
 _REMEDY = (

@@ -24,11 +24,11 @@ from fden_ros.recording.text import Layout, is_number, layout_of
 _COLUMN = re.compile(r"(?P<name>.+?)(?:\*(?P<factor>[-+]?[\d.]+(?:[eE][-+]?\d+)?))?")
 _QUANTITIES = ("time", "force", "displacement")
 _NS = 1_000_000_000
-#: More rows than this part have the time of the row before where a clock is too coarse.
+#: The clock is too coarse where more than this part of the rows have the time of the row before.
 _REPEATED = 0.2
 #: Times since 1970 lie between 2001 and 2096 [s], rows less than this apart [s].
 _EPOCH, _SLOWEST = (1e9, 4e9), 10.0
-#: Values repeat where this part of the runs of one value, of so many, is as long as the median.
+#: Values repeat where this part of the runs of one value, of this many, is as long as the median.
 _ALIKE, _LEAST_CHANGES = 0.8, 10
 
 
@@ -37,7 +37,7 @@ class Column:
     """A column by its heading or its number from 1."""
 
     name: str
-    #: What its numbers are multiplied by; None: as the unit in its heading says.
+    #: Factor of its numbers; None: by the unit in its heading.
     factor: float | None = None
 
     def __str__(self) -> str:
@@ -86,7 +86,7 @@ class Columns:
 def stated_columns(layout: Layout) -> Columns:
     """Return the columns that a table's headings state with their units.
 
-    Where they do not, the line that says so has the ``--columns`` to write.
+    If they do not, the error line has the ``--columns`` to write.
     """
     if not layout.sample:
         below = layout.names or "its first line"
@@ -140,7 +140,7 @@ def _likely(layout: Layout, quantity: str, fitting: Sequence[tuple[int, float | 
 
 
 def _without_numbers(layout: Layout) -> str:
-    """Return that a column is named, but holds no numbers, with one of its cells."""
+    """Return that a named column holds no numbers, with one of its cells."""
     for index, heading in enumerate(layout.headings):
         cells = [cell for cell in layout.cells(index) if not is_number(cell)]
         is_named = any(heading.names(quantity) for quantity in _QUANTITIES)
@@ -174,7 +174,7 @@ def _time_factor(layout: Layout, index: int) -> float | None:
     step = float(np.median(np.abs(np.diff(numbers))))
     for factor in (1.0, 1e-3, 1e-6, 1e-9):
         if _EPOCH[0] <= factor * numbers.min() <= factor * numbers.max() < _EPOCH[1]:
-            # Whole numbers of that size could count ns as well.
+            # Whole numbers of that size could also be ns.
             is_open = factor == 1.0 and bool(np.all(numbers == np.rint(numbers)))
             return None if is_open or factor * step > _SLOWEST else factor
     # PlotJuggler's time is in s.
@@ -187,9 +187,9 @@ class TableReader:
     Parameters
     ----------
     path : path
-        As :func:`~fden_ros.recording.text.layout_of` finds it written.
+        In a layout that :func:`~fden_ros.recording.text.layout_of` recognises.
     columns : Columns, optional
-        Those that the headings state when None.
+        If None, those that the headings state.
     where : (str, str), optional
         Use only rows that hold this text in this column.
 
@@ -200,7 +200,7 @@ class TableReader:
     force, displacement : Array
         [N], [m], shape (n,); NaN where a row has none.
     warnings : tuple of str
-        What is wrong with the rows, a line each.
+        The problems of the rows, a line each.
     """
 
     def __init__(
@@ -284,7 +284,7 @@ class TableReader:
                 yield f"{self.named(column)} is commanded by its heading, not measured"
 
     def _gaps(self) -> Iterator[str]:
-        """Say what rows lack; the force keeps the first of values that repeat."""
+        """Warn about gaps of the rows; of repeated values the force keeps the first."""
         for word, values in (("force", self.force), ("displacement", self.displacement)):
             if lacking := int(np.isnan(values).sum()):
                 yield f"{lacking} of {values.size} rows of {self.path.name} have no {word}"
@@ -292,7 +292,7 @@ class TableReader:
         if back.size:
             yield (
                 f"the time of {self.path.name} goes back {back.size} times, first at row "
-                f"{back[0] + 2}: of several recordings choose one by --rows"
+                f"{back[0] + 2}: if it holds several recordings, choose one with --rows"
             )
         every = np.count_nonzero(~np.isnan(self.force))
         if _thin(self.force):
@@ -331,10 +331,10 @@ def _rate_of(time: Column) -> float | None:
 
 
 def _thin(values: Array) -> bool:
-    """Keep the first of numbers that stand in several rows, as those of a slower instrument do.
+    """Keep the first of numbers that several rows repeat, as a slower instrument does.
 
-    The others become NaN. Runs of such numbers are of one length, by one row; those of a coarse
-    reading are not.
+    The others become NaN. Runs of such numbers have one length, within one row; those of a
+    coarse reading do not.
     """
     present = np.flatnonzero(~np.isnan(values))
     changes = np.flatnonzero(np.diff(values[present], prepend=np.nan) != 0.0)
@@ -347,6 +347,6 @@ def _thin(values: Array) -> bool:
         return False
     number = np.arange(present.size)
     begin = changes[np.searchsorted(changes, number, side="right") - 1]
-    # What stands for longer was measured again.
+    # A longer run was measured again.
     values[present[(number - begin) % (round(usual) + 1) > 0]] = np.nan
     return True

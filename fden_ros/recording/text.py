@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How a text table is written: encoding, delimiter, preamble, headings, units and decimal sign.
+"""The layout of a text table: encoding, delimiter, preamble, headings, units and decimal sign.
 
-What cannot be read is named with its line, and nothing is left out but blank lines, comments and
-what stands below the last row.
+An unreadable part is named with its line. Only blank lines, comments and
+lines below the last row are left out.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _WORKBOOKS = (".xlsx", ".xls", ".ods")
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 _DELIMITERS = ";\t,| "
-#: Lines by which the layout is decided, and as many where the first hold no rows.
+#: Lines that decide the layout, and the next number where the first hold no rows.
 _HEAD_LINES, _MOST_LINES = 400, 20_000
 #: More rows than this above the headings are no results or settings, but rows of the table.
 _RESULTS = 10
-#: Cells that hold no value and say so.
+#: Cells that state that they hold no value.
 _NOTHING = frozenset(("", "nan", "na", "n/a", "#n/a", "-", "--", "---", "null", "none"))
 _BLANK = " \t\r\n\v\f\0;,|"
 _NUMBER = re.compile(r"[-+]?(?=[.,]?\d)\d*(?:[.,]\d{3})*(?:[.,]\d*)?(?:[eE][-+]?\d+)?")
@@ -61,7 +61,7 @@ class Layout:
     path: Path
     delimiter: str  #: a blank stands for any number of them
     decimal: str  #: a point or a comma
-    preamble: tuple[str, ...]  #: what stands before the headings, a line each
+    preamble: tuple[str, ...]  #: the lines before the headings
     #: Of every column, with the unit of a row below; without text where it has none.
     headings: tuple[Heading, ...]
     lines: tuple[Line, ...]  #: the rows with their numbers from 1, no comments, no blank lines
@@ -77,7 +77,7 @@ class Layout:
         return [index for index, heading in enumerate(self.headings) if heading.text == name]
 
     def cells(self, index: int) -> list[str]:
-        """Return the cells of a column in the first rows, those without a value left out."""
+        """Return the cells of a column in the first rows, without those that hold no value."""
         found = (row[index] for row in self.sample if index < len(row))
         return [cell for cell in found if cell.lower() not in _NOTHING]
 
@@ -96,7 +96,7 @@ class Layout:
         return _split(line, self.delimiter)
 
     def number(self, cell: str) -> float:
-        """Return the number in a cell, NaN where it says that it has none.
+        """Return the number in a cell, NaN where it states that it has none.
 
         Raises
         ------
@@ -121,15 +121,15 @@ class Layout:
     ) -> tuple[Array, Sequence[Line], str]:
         """Return the numbers of some columns, shape (n, k), their lines, and what is left out.
 
-        A cell that says that it has no number is NaN.
+        A cell that states that it has no number is NaN.
 
         Parameters
         ----------
         columns : sequence of int
         lines : sequence of (int, str), optional
-            Those that are read; all when None.
+            The lines to read; all when None.
         clock : int, optional
-            Column of dates or times of day, by whose cells the rows end too.
+            Column of dates or times of day, whose cells also end the rows.
         """
         lines, left_out = self.lines if lines is None else lines, ""
         values: list[list[float]] = []
@@ -172,7 +172,7 @@ class Layout:
         return None
 
     def _end(self, lines: Sequence[Line], wanted: Sequence[int], clock: int | None) -> str:
-        """Return what stands from the end of the table on, if its first line is no row."""
+        """Return the lines from the end of the table on, if the first of them is no row."""
         (number, line), *below = lines
         cells = self.split(line)
         named = [cells[column].lower() for column in wanted if column < len(cells)]
@@ -199,7 +199,7 @@ class Layout:
 
 
 def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
-    """Return how a table is written; a line with all `names` is that of the headings."""
+    """Return the layout of a table; a line with all `names` is that of the headings."""
     path = place(path)
     numbered = enumerate(re.split("\r\n|\r|\n", _text(path)), start=1)
     lines = [(number, line) for number, line in numbered if line.strip(_BLANK)]
@@ -246,7 +246,7 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
 
 
 def looks_like_a_table(path: str | Path) -> bool:
-    """Return whether `path` is a text table by its name, or else by what it begins with."""
+    """Return whether `path` is a text table by its name, otherwise by its first bytes."""
     path = place(path)
     suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
     if suffix.lower() in (*TABLE_SUFFIXES, *_WORKBOOKS):
@@ -281,7 +281,7 @@ def _states_a_unit(cell: str) -> bool:
 
 
 def _delimiter(lines: Sequence[str]) -> str:
-    """Return what stands between the cells of lines: by it most of them are values."""
+    """Return the delimiter with which most cells of the lines are values."""
 
     def votes(delimiter: str) -> tuple[float, int, int]:
         share, values = 0.0, 0
@@ -324,7 +324,7 @@ def _split(line: str, delimiter: str) -> list[str]:
     if '"' not in line:
         return [cell.strip() for cell in line.split(delimiter)]
     try:
-        # A line by itself: in a preamble a quotation mark may stand for inches.
+        # Line by line: in a preamble a quotation mark may stand for inches.
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         return [line]
@@ -406,7 +406,7 @@ def _decoded(path: Path, data: bytes) -> str:
         raise _unreadable(path, reason)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
-    # What was set aside for a recording that ended early.
+    # The rest belongs to a recording that ended early.
     data = data.rstrip(b"\0")
     if b"\0" in data:
         raise _unreadable(path, "it is no text of comma-separated values")

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which topics of a bag are the force and the displacement."""
+"""The topics of force and displacement in a bag."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.headings import COMMANDED
 from fden_ros.recording.reader import BagReader
 
-# Words in a topic's name: what it most likely carries.
+# Words in a topic's name, and the quantity that they indicate.
 # cf, cp and js are those of CRTK and dVRK (measured_cf, setpoint_cp, ...).
 WORDS = {
     "force": {"force", "wrench", "ft", "fts", "cf"},
     "displacement": {"displacement", "position", "pose", "cp", "probe", "tip", "tcp"},
 }
-#: The package of an identifier's outputs: nothing measured is in them.
+#: The package of an identifier's outputs, which are not measurements.
 RESULTS = "fden_msgs/"
 
 
@@ -34,9 +34,9 @@ def find_topic(
     """Return the topic called `name`, or the only sensible one for `stream`.
 
     Without a name the candidates are the topics of a usable type that have messages. One is
-    sensible if it is the only one left after, in this order: its name's last part is `stream`; it
-    is measured, not wanted (``setpoint_cp``, ``goal``); it is no joint states, which are of the
-    arm more often than of the probe; its name speaks of `stream`.
+    sensible if it is the only one left after these rules, in this order: its name's last part is
+    `stream`; it is measured, not commanded (``setpoint_cp``, ``goal``); it is no joint states,
+    which usually are the arm's and not the probe's; its name contains a word for `stream`.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _listed(topics: Iterable[Topic]) -> str:
 
 
 def is_commanded(topic: Topic) -> bool:
-    """Return whether a topic carries what is wanted, not measured, by its name."""
+    """Return whether a topic is measured, not commanded, by its name."""
     return bool(_words(topic) & COMMANDED)
 
 

@@ -25,11 +25,11 @@ _METADATA_FILE = "metadata.yaml"
 
 
 class BagWriter:
-    """Write a bag into a folder; nothing is seen of it before it is complete.
+    """Write a bag into a folder; it is not visible before it is complete.
 
-    The bag grows in a hidden folder next to the target, which takes its name when the ``with``
+    The bag grows in a hidden folder next to the target, and is renamed when the ``with``
     block ends. An exception inside the block leaves nothing behind. The same messages give the
-    same bytes. With `overwrite` a bag that is there is replaced, and nothing but a bag.
+    same bytes. With `overwrite` an existing bag is replaced, and nothing but a bag.
     """
 
     def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -62,7 +62,7 @@ class BagWriter:
         exception: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Finish the bag and give it its name, or remove it after an exception."""
+        """Finish the bag and rename it, or remove it after an exception."""
         try:
             if exception_type is not None:
                 self._writer.abort()
@@ -74,7 +74,7 @@ class BagWriter:
             shutil.rmtree(self._hidden, ignore_errors=True)
 
     def add_topic(self, topic: str, type_name: str, *offered_qos: Qos) -> None:
-        """Declare a topic before its first message, and what its publishers offer (`RELIABLE`)."""
+        """Declare a topic before its first message, with its publishers' offer (`RELIABLE`)."""
         type_name = full_type_name(type_name)
         if topic in self._topics:
             raise InputError(f"topic {topic} is in the bag already: declare it once")

@@ -34,7 +34,7 @@ _DEVIATIONS = 2.0
 
 @dataclass(frozen=True)
 class MonitorView:
-    """What is shown; `None` and empty where nothing has been heard yet."""
+    """The content of the view; `None` and empty before the first message."""
 
     identifier: str
     state: TissueState | None = None
@@ -67,7 +67,7 @@ def monitor_view(view: MonitorView) -> Group:
 
 
 def monitor_line(view: MonitorView) -> str:
-    """Return the view in one line, for what is no terminal."""
+    """Return the view in one line, for a pipe or a file."""
     parts = [_status(view).plain]
     if view.state is not None:
         parts.append(f"contact {_contact(view.state)}")
@@ -76,7 +76,7 @@ def monitor_line(view: MonitorView) -> str:
 
 
 def next_step(view: MonitorView) -> str:
-    """Return the one thing to do next, of what the node says of itself."""
+    """Return the one next step, by the node's diagnostics."""
     said = view.diagnostics
     if not said:
         return (
@@ -85,7 +85,7 @@ def next_step(view: MonitorView) -> str:
         )
     problem = said.get("problem 1", "")
     if problem or "contacts" not in said:
-        # Without values it is what keeps the node from being configured or activated.
+        # Without values it is the reason why the node is not configured or activated.
         return problem or said["message"]
     if said["contacts"] == "0":
         return "hold the probe in the air for 2 s, then press"
@@ -118,7 +118,7 @@ def _present(view: MonitorView) -> Table:
 
 def _status(view: MonitorView) -> Text:
     if view.state is None or view.age is None:
-        return Text("nothing heard yet", style="red")
+        return Text("nothing received yet", style="red")
     if view.refusal is not None and view.refusal.cause is Cause.LOST:
         return Text(f"lost: no estimate for {view.age:.1f} s", style="bold red")
     status = view.state.status
@@ -142,7 +142,7 @@ def _contact(state: TissueState) -> str:
 
 
 def _parameters(state: TissueState) -> list[tuple[str, str]]:
-    """Return the names of G, Gn and alpha, and each with its interval and how far it is known."""
+    """Return the names of G, Gn and alpha, and each with its interval and certainty."""
     estimate = state.estimate
     if estimate is None:
         return [("G", DASH), ("Gn", DASH), ("α", DASH)]
@@ -160,9 +160,9 @@ def _parameters(state: TissueState) -> list[tuple[str, str]]:
 
 
 def _how_known(estimate: Estimate, index: int) -> str:
-    """Return how far a parameter is known, in words."""
+    """Return how well a parameter is known, in words."""
     if estimate.is_at_edge(index):
-        return "at an end of what the prior allows"
+        return "at a limit of the prior"
     if estimate.knows(index):
         return "converged"
     return "converging" if estimate.determines(index) else "not determined"

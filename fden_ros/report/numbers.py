@@ -17,7 +17,7 @@ DASH = "–"
 _SMALL, _LARGE = 1e-2, 1e7
 #: Below this many standard deviations a number of the order of 1 lies with 95 %.
 _UPPER = 1.645
-#: A bound this many times the value says nothing.
+#: A bound this many times the value is useless.
 _VAGUE = 100.0
 
 
@@ -38,16 +38,16 @@ def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
 
 
 def _rounded(value: float, places: int) -> str:
-    """Return a number to so many decimal places; negative: to tens, hundreds ..."""
+    """Return a number to some decimal places; negative: to tens, hundreds ..."""
     return f"{round(value, places):,.{max(places, 0)}f}"
 
 
 def result(
     value: float, deviation: float, most_digits: int = 17, *, is_of_data: bool = True
 ) -> str:
-    """Return a positive number, with its deviation to first order, as far as it is a result.
+    """Return a positive number with its deviation, to first order, as a result.
 
-    In brackets what the data did not determine. What is no larger than its own standard deviation
+    In brackets, the data did not determine it. A value no larger than its own standard deviation
     is stated by its upper bound at 95 %: its logarithm is normal, with `deviation` / `value`.
     """
     if not is_of_data:
@@ -79,7 +79,7 @@ def stiffness(found: ApparentStiffness | MeasuredSlope | None, most_digits: int 
 
 
 def bracketed(text: str) -> str:
-    """Return a number as one that the data did not determine."""
+    """Return a number in the form for one that the data did not determine."""
     return text if text == DASH or text.startswith("(") else f"({text})"
 
 
@@ -102,7 +102,7 @@ def _at(found: MeasuredSlope, unit: str) -> str:
 
 
 def law(estimate: Estimate | None) -> str:
-    """Return how far the tissue is from the law; empty where that is not known."""
+    """Return how far the tissue deviates from the law; empty where that is not known."""
     error = estimate.law_error if estimate is not None else None
     if estimate is None or error is None:
         return ""
@@ -115,7 +115,7 @@ def law(estimate: Estimate | None) -> str:
 
 
 def _rounded_up(value: float) -> str:
-    """Return a bound with two digits, none of them below it."""
+    """Return a bound with two digits, rounded up."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     bound = step * math.ceil(value / step - 1e-9)
     return written(bound, 2)

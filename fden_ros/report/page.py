@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The report as one page of HTML that needs nothing else: no network, no other file."""
+"""The report as one self-contained page of HTML: no network, no other file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fden_ros.report.sentence import lines
 from fden_ros.report.table import label_words, status_words
 from fden_ros.written import written
 
-#: Stamps before this are no dates, but times since something else began.
+#: Earlier stamps are no dates, but times since another zero.
 _FIRST_DATE_NS = 946_684_800_000_000_000  # the year 2000
 _OPEN_CONTACTS = 8
 #: Columns of a press that a place on a path lacks.
@@ -152,7 +152,7 @@ def _contact(session: Session, contact: Contact) -> dict[str, Any]:
 
 
 def _contact_facts(summary: ContactSummary, truth: dict[str, Any] | None) -> Facts:
-    """Yield what the table has no room for."""
+    """Yield the details beyond the table."""
     if summary.position is not None:
         place = ", ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in summary.position)
         frame = f" in {summary.position_frame}" if summary.position_frame else ""

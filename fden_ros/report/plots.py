@@ -38,7 +38,7 @@ def overview(session: Session) -> str:
         panels = figure.subplots(2, 1, sharex=True)
         named = ("force [N]", 1.0), ("displacement [mm]", 1e3)
         for number, (axes, (name, scale)) in enumerate(zip(panels, named, strict=True)):
-            # As a line up and down: where there is one value only, a band has no width.
+            # A zigzag line: where there is one value only, a band has no width.
             values = scale * ends[:, 2 * number : 2 * number + 2].ravel()
             axes.plot(np.repeat(time, 2), values, color=MEASURED, linewidth=0.9)
             axes.set_ylabel(name)
@@ -57,7 +57,7 @@ def overview(session: Session) -> str:
 
 
 def _apart(places: Sequence[tuple[float, float]], width: float, height: float) -> list[int]:
-    """Return which of some places can have labels of a size that do not overprint."""
+    """Return which of some places can have labels of a size that do not overlap."""
     kept: list[int] = []
     for k, (x, y) in enumerate(places):
         others = (places[other] for other in kept)
@@ -109,7 +109,7 @@ def site_map(session: Session) -> str:
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        # Room for the labels, also where all places are one.
+        # Room for the labels, also where all places coincide.
         room = 0.15 * max(np.ptp(x), np.ptp(y)) + 2.0
         axes.set_xlim(x.min() - room, x.max() + room)
         axes.set_ylim(y.min() - room, y.max() + 1.5 * room)
@@ -225,7 +225,7 @@ def characteristic(session: Session, contact: Contact, summary: ContactSummary) 
 def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Array:
     """Return strains and fractional stresses at the last alpha and origin, shape (n, 2).
 
-    A state has those of its own time: an alpha that was learned later lifts or lowers them.
+    A state has those of its own time: a later alpha scales them.
     """
     last, moments = summary.estimate, StressMoments()
     points: list[tuple[float, float]] = []
@@ -249,7 +249,7 @@ def _points(geometry: Geometry, contact: Contact, summary: ContactSummary) -> Ar
 
 
 def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
-    """How G and Gn became known."""
+    """How G and Gn converged."""
     states = [s for s in contact.states if s.estimate is not None]
     estimates = [s.estimate for s in states]
     time = _since_touch(states)

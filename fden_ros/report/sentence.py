@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A recording in one sentence: how stiff it is, which tissue that is like, what to do next."""
+"""A recording in one sentence: how stiff it is, which tissue that is like, the next step."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fden_ros.offline.session import Session
 from fden_ros.report.numbers import DASH, slope_words, stiffness
 from fden_ros.written import written
 
-#: So many places have a line each.
+#: This many places have a line each.
 _EACH = 3
 
 
 def sentence(session: Session) -> str:
-    """Return what a recording says, in one sentence for each place, or one for many."""
+    """Return the result of a recording, in one sentence for each place, or one for many."""
     said = [f"{before}{number}{after}" for before, number, after in lines(session)]
     return " ".join(one if one.endswith(".") else f"{one}." for one in said)
 
@@ -35,7 +35,7 @@ def lines(session: Session) -> list[tuple[str, str, str]]:
     if config.is_continuous:
         words = ": it takes a probe that palpates as it slides"
         return [("", "No stiffness is known on the path", words)]
-    # A place is known best at the end of its last contact.
+    # The last contact of a place has the best estimate.
     places = list({summary.site_id: summary for summary in summaries}.values())
     if not places:
         return [("", "No contact was found", "")]

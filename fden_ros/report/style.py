@@ -64,9 +64,9 @@ def _for_page(svg: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", svg, flags=re.DOTALL)
     head, rest = svg[svg.index("<svg") :].split(">", 1)
     view = re.search(r'viewBox="[^"]*"', head)
-    # Several pictures share a page: the names of their parts would repeat.
+    # Several pictures share a page, so the names of their parts must differ.
     rest = re.sub(r'<g id="[^"]*"', "<g", rest)
-    # The page's own font, whatever matplotlib measured with.
+    # The page's own font, whatever matplotlib's measurement.
     rest = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", rest)
     rest = re.sub(r"font: (bold|700) ([\d.]+px)[^;\"]*", r"font-weight: bold; font-size: \2", rest)
     for colour, variable in _VARIABLES.items():
@@ -113,7 +113,7 @@ def limit_by_intervals(axes: Axes, value: Array, low: Array, high: Array) -> Non
 def limit_by(axes: Axes, values: Array, above: float) -> None:
     """Set the vertical axis by `values`, with `above` of their range left free on top.
 
-    What is drawn besides, the band of an estimate that has not converged, may be anywhere.
+    The band of an estimate that has not converged does not count: it may be anywhere.
     """
     finite = values[np.isfinite(values)]
     low, high = min(0.0, float(finite.min(initial=0.0))), float(finite.max(initial=0.0))
@@ -127,6 +127,6 @@ def write_ticks(axes: Axes) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """Put the legend next to the title: what is drawn may fill the whole panel."""
+    """Put the legend next to the title: the curves may fill the whole panel."""
     place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
     axes.legend(**place, ncols=4, columnspacing=1.0, handlelength=1.4)

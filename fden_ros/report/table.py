@@ -34,7 +34,7 @@ def table_of(
 ) -> Table:
     """Return a table of cells in rich's markup, with blanks `between` two columns.
 
-    `columns`: heading to the least width of a column of words; 0: it is one of numbers. Without
+    `columns`: heading to the least width of a column of words; 0: one of numbers. Without
     blanks between them there are none at the edges either.
     """
     table = Table(
@@ -57,7 +57,7 @@ def contact_table(
 ) -> Table:
     """Return one row a contact, of at most 80 columns.
 
-    `alone`: numbers of the contacts of which N/m or the slope is known, and not G.
+    `alone`: numbers of the contacts with known N/m or slope, but not G.
     """
     shown = list(summaries)
     on_path = is_path(shown)
@@ -76,8 +76,8 @@ def contact_table(
 def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool = False) -> str:
     """Return how far a contact's parameters are known, and its flags.
 
-    `on_path`: it is a place on the path of a continuous contact. `alone`: G is not known of it,
-    but N/m or the slope.
+    `on_path`: it is a place on the path of a continuous contact. `alone`: its N/m or slope is
+    known, but not G.
     """
     words = "not converged"
     if on_path:
@@ -99,7 +99,7 @@ def status_words(summary: ContactSummary, *, on_path: bool = False, alone: bool 
 
 
 def label_words(summary: ContactSummary) -> str:
-    """Return which tissue it is, as far as that is said."""
+    """Return the tissue, as far as it is known."""
     return summary.classes.words if summary.classes is not None else "undetermined"
 
 

@@ -60,7 +60,7 @@ def type_name(kind: Callable[..., Any]) -> str:
 
 
 def _unknown(kind: type[_Message]) -> _Message:
-    """Return a message whose numbers are not known, NaN, until they are set."""
+    """Return a message whose numbers are NaN until they are set."""
     message = kind()
     for name, own in message.get_fields_and_field_types().items():  # type: ignore[attr-defined]
         if own == "double":
@@ -219,7 +219,7 @@ def _fill_classes(
 
 
 def state_of(message: TissueEstimate) -> TissueState:
-    """Return an estimate message as a :class:`TissueState`, for those who receive it."""
+    """Return an estimate message as a :class:`TissueState`."""
     valid = message.valid
     has_parameters = bool(valid & TissueEstimate.VALID_PARAMETERS)
     return TissueState(
@@ -249,7 +249,7 @@ def state_of(message: TissueEstimate) -> TissueState:
 
 
 def summary_of(message: PalpationSummary) -> ContactSummary:
-    """Return a summary message as a :class:`ContactSummary`, for those who receive it."""
+    """Return a summary message as a :class:`ContactSummary`."""
     position = message.position
     return ContactSummary(
         stamp_ns=stamp_ns(message.header.stamp),

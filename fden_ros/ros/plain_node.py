@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 
 @contextmanager
 def plain_node(name: str) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
-    """Make a node and what spins it; destroy both at the end.
+    """Make a node and its executor; destroy both at the end.
 
     Interrupts stay with Python, so that they end a wait at once.
     """

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What there is to say of a pipeline's work: the status of ``/diagnostics``, live and offline."""
+"""The status of a pipeline's work for ``/diagnostics``, live and offline."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from fden_ros.core.pipeline import Pipeline
 
-#: What `/diagnostics` is about.
+#: Name of the status on `/diagnostics`.
 _HARDWARE_ID = "force_sensor"
-#: What is odd about the input is repeated for this number of looks, one a second.
+#: An input warning is repeated for this number of looks, one a second.
 _WARNED_FOR = 10
 
 
@@ -55,7 +55,7 @@ def status_of(node_name: str, level: bytes, words: str) -> DiagnosticStatus:
 class PipelineProblems:
     """What went wrong in a pipeline since the last look at it, in words.
 
-    Not its `problems`, which stand from the start and are in every status.
+    Not its `problems`, which are constant and in every status.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class PipelineProblems:
             del counts[words]
         for words in counts - self._warned_before:
             self._warned[words] = _WARNED_FOR
-        # In the order of the pipeline, which names the likeliest first.
+        # In the order of the pipeline, the likeliest cause first.
         self._warned = {words: self._warned[words] for words in counts if words in self._warned}
         news = PipelineNews(
             pairs=pairs - self._pairs_before,
@@ -97,11 +97,11 @@ class PipelineNews:
 
     pairs: int
     rejected: int
-    warnings: tuple[str, ...]  #: what was odd about the input in the last ten seconds
+    warnings: tuple[str, ...]  #: about the input in the last ten seconds
 
     @property
     def problems(self) -> list[str]:
-        """Return what is wrong, a sentence each."""
+        """Return the problems, a sentence each."""
         problems = list(self.warnings)
         if not self.pairs:
             problems.append("no pair of force and displacement in the last second")

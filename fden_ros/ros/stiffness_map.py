@@ -17,7 +17,7 @@ from fden_ros.ros.messages import to_stamp
 
 #: The map holds the 1,000 newest sites: a cloud of 80 kB.
 _MOST_SITES = 1000
-#: x, y, z as RViz wants them; the rest from the next multiple of 8 bytes on.
+#: x, y, z in RViz's format; the rest from the next multiple of 8 bytes on.
 _COORDINATES = ("x", "y", "z")
 _VALUES = ("G", "Gn", "alpha", "G_sd", "Gn_sd", "alpha_sd", "stiffness", "stiffness_sd")
 _POINT = np.dtype(
@@ -38,16 +38,16 @@ class StiffnessMap:
         self._newest: ContactSummary | None = None
 
     def __contains__(self, summary: ContactSummary) -> bool:
-        """Return whether the map has last changed by this very summary."""
+        """Return whether this summary was the map's last change."""
         return self._newest is summary
 
     def add(self, summary: ContactSummary) -> bool:
-        """Take a summary; return whether the map has changed: not by one that is in doubt."""
+        """Add a summary; return whether the map has changed: not by an uncertain one."""
         site_id = summary.site_id
         if summary.position is None or summary.flags & WITHHELD:
             return False
         if summary.estimate is None:
-            # A contact that was withdrawn takes its site off the map.
+            # A contact that was invalidated removes its site from the map.
             known = self._sites.get(site_id)
             if known is None or known.contact_id != summary.contact_id:
                 return False
@@ -62,7 +62,7 @@ class StiffnessMap:
     def cloud(self) -> PointCloud2:
         """Return the sites as points: float32 ``x, y, z``, float64 values and deviations.
 
-        Points share one frame: sites in another than the newest summary's are left out.
+        Points share one frame: sites in another frame than the newest summary's are left out.
         """
         newest = self._newest
         frame_id = newest.position_frame if newest is not None else ""

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one table of what comes out: topic, type, QoS, and the message made of an output.
+"""The one table of outputs: topic, type, QoS, and the message made of an output.
 
-The node publishes by it, and a bag of results is written by it.
+The node and the bag of results use it.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from fden_ros.ros.messages import (
 )
 from fden_ros.ros.stiffness_map import StiffnessMap
 
-#: Of the inputs. Deep: one lost sample is lost to the fractional integral for good.
+#: Of the inputs. Deep: the fractional integral never recovers a lost sample.
 INPUT_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=10000,
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-#: Of the transforms that come once, to whoever comes late too.
+#: Of the static transforms, which late subscribers receive too.
 STATIC_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=100,
@@ -56,7 +56,7 @@ STATIC_QOS = QoSProfile(
 _RELIABLE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
 )
-#: Offered, so that those who ask for it are told when the node freezes.
+#: Offered, so that a subscriber with a deadline is notified when the node freezes.
 _LEASE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=100,
@@ -69,7 +69,7 @@ _DEADLINE_PERIODS, _LEAST_DEADLINE = 5.0, 0.05
 
 
 def latched(depth: int) -> QoSProfile:
-    """Return a profile whose last messages reach those who come late, too."""
+    """Return a profile whose last messages late subscribers receive too."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -85,8 +85,8 @@ class OutputTopic:
     name: str
     message_type: type
     qos: QoSProfile
-    output: type  #: of the core, that brings a message about
-    #: The message of an output, headed by a frame, with the map of the sites; None: there is none.
+    output: type  #: of the core, from which the message is made
+    #: Makes the message of an output, in a frame, with the map of the sites; None: there is none.
     make: Callable[[Any, str, StiffnessMap], Any]
     has_deadline: bool = False  #: it comes at the period of the estimate
 
@@ -105,8 +105,8 @@ class OutputTopic:
         return profile
 
 
-#: In the order in which the messages of one output come. Who comes late still learns of the last
-#: classification, of the last 100 contacts and of the map as it is.
+#: In the order of the messages of one output. Late subscribers still receive the last
+#: classification, the last 100 contacts and the present map.
 OUTPUT_TOPICS = (
     OutputTopic(
         "estimate",
@@ -158,7 +158,7 @@ class OutputMessages:
         self._sites = StiffnessMap()
 
     def of(self, output: Output, frame: str) -> Iterator[tuple[OutputTopic, Any]]:
-        """Yield each topic that an output has a message for, and it, headed by `frame`."""
+        """Yield each topic with its message of an output, in `frame`."""
         if isinstance(output, ContactSummary):
             self._sites.add(output)
         for topic in _BY_OUTPUT[type(output)]:

@@ -3,7 +3,7 @@
 
 """Simulated tissue and a rig over it in time steps, for the live simulator.
 
-Shares no numerics with :mod:`fden_ros.core`. Simulated recordings stand beside the package, in
+Shares no numerics with :mod:`fden_ros.core`. Simulated recordings are outside the package, in
 ``simulation/``.
 """
 

@@ -21,7 +21,7 @@ from fden_ros.simulation.tissue import Column, Tissue
 
 
 class Command(enum.Enum):
-    """What the axis is asked to do."""
+    """The commanded motion of the axis."""
 
     POSITION = "position"  #: [m], from the undisturbed surface into the tissue
     VELOCITY = "velocity"  #: [m/s], into the tissue; ends by itself after `command_timeout`

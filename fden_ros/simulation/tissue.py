@@ -43,7 +43,7 @@ _MAX_EXPONENT = 60.0
 
 @dataclass(frozen=True)
 class Inclusion:
-    """A stiff body under the surface, met at some strain and loaded beside the tissue from there.
+    """A stiff body under the surface, loaded in parallel with the tissue from some strain on.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from fden_ros.errors import InputError
 FORMAT = 2
 #: Units of the stress behind G: of a stress, or of a force where the probe's area is not known.
 UNITS = ("Pa", "N")
-#: A flat punch of so large an area stands for one whose area is not known [m^2].
+#: A flat punch of this area stands for one of unknown area [m^2].
 _NO_AREA = 1.0
 
 
@@ -47,17 +47,17 @@ def load_library(path: str | Path | None = None) -> TissueLibrary:
 
 
 def units_of(geometry: Geometry) -> str:
-    """Return the unit of the stress that a geometry makes.
+    """Return the unit of a geometry's stress.
 
-    A flat punch of 1 m^2 is how a probe of unknown area is given: stress is force, in N.
+    A flat punch of 1 m^2 stands for a probe of unknown area: stress is force, in N.
     """
     return "N" if isinstance(geometry, FlatPunch) and geometry.area == _NO_AREA else "Pa"
 
 
 def library_for(path: str, geometry: Geometry) -> TissueLibrary | None:
-    """Return the library at `path`, or without one the built-in one, if it fits the geometry.
+    """Return the library at `path`, or the built-in one, if it fits the geometry.
 
-    None where the built-in library does not: then nothing is classified.
+    None where the built-in library does not: nothing is classified then.
 
     Raises
     ------

@@ -3,8 +3,8 @@
 
 r"""Tissue libraries from tables of contacts: mean, covariance and count by class.
 
-The estimates of a class scatter by its spread and by their own errors: of the sample covariance
-of (ln G, ln Gn, alpha) the mean of the stated covariances is subtracted. What is left is shrunk to
+The estimates of a class scatter by its spread and by their own errors, so the mean of the stated
+covariances is subtracted from the sample covariance of (ln G, ln Gn, alpha). The rest is shrunk to
 a default spread worth :math:`k = 4` contacts, and the error of the mean is added. So the library
 holds Student's t for a new contact, with :math:`n - 1 + k` degrees of freedom.
 """
@@ -25,9 +25,9 @@ from fden_ros.core.classification import UNKNOWN, Tissue, TissueLibrary
 from fden_ros.errors import InputError
 from fden_ros.tissues.library import FORMAT
 
-#: The default spread is worth so many contacts: a class of three has one.
+#: The default spread is worth this many contacts: a class of three has one.
 SHRINKAGE = 4.0
-#: Spread where nothing is known: of the paper's liver, alpha wider.
+#: Spread without data: of the paper's liver, alpha wider.
 _DEFAULT_SD = np.array([0.28, 0.19, 0.02])
 #: Of alpha where the contacts do not determine it, as wide as soft tissue is.
 _ANY_ALPHA_SD = 0.12
@@ -105,7 +105,7 @@ def learn(name: str, contacts: Contacts, prior: float = 1.0) -> Tissue:
     error = contacts.covariance.mean(axis=0)
     about = (contacts.mean - mean) / _DEFAULT_SD
     scale = np.outer(_DEFAULT_SD, _DEFAULT_SD)
-    # In units of the default spread, where what is left after the errors may not be negative.
+    # In units of the default spread, where the rest after the errors may not be negative.
     sizes, axes = np.linalg.eigh(about.T @ about - (count - 1) * error / scale)
     scatter = axes * np.maximum(sizes, 0.0) @ axes.T
     freedom = count - 1 + SHRINKAGE
@@ -120,7 +120,7 @@ def learn(name: str, contacts: Contacts, prior: float = 1.0) -> Tissue:
 def library_of(
     classes: Mapping[str, Contacts], name: str = "learned", units: str = "Pa", geometry: str = ""
 ) -> TissueLibrary:
-    """Return the library of classes, all alike likely, and the unknown about them.
+    """Return the library of classes of equal probability, and the unknown about them.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ _NODES, _MOST_DEGREES = 24, 300.0
 _LEAST_INFORMATION = 0.1
 #: A direction that decides is observable where the data leave less than this of its variance.
 _OBSERVABLE_SHARE = 0.25
-#: A class that the data favour over another by odds of 20 is told from it, in any direction.
+#: The data distinguish two classes where they favour one by odds of 20, in any direction.
 _SPEAKING_ODDS = 20.0
 #: Variances in units of the prior's below this are rounding, and may be negative.
 _LEAST_VARIANCE = 1e-15
@@ -68,7 +68,7 @@ class Tissue:
 
 @dataclass(frozen=True, eq=False)
 class TissueLibrary:
-    """Tissues to tell apart, and the wide class of what is none of them."""
+    """The tissues to distinguish, and the wide class for all others."""
 
     name: str
     tissues: tuple[Tissue, ...]
@@ -98,7 +98,7 @@ class ClassProbabilities(NamedTuple):
     names: tuple[str, ...]
     probabilities: tuple[float, ...]
     p_value: float = 1.0  #: P(as far out | best fitting tissue) [1]
-    is_observable: bool = True  #: the data, not the priors, tell the label from the others
+    is_observable: bool = True  #: the data, not the priors, single out the label
 
     @property
     def words(self) -> str:
@@ -110,7 +110,7 @@ class ClassProbabilities(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """What data say of (ln G, ln Gn, alpha), to second order; leading axes are many of them."""
+    """Log likelihood of (ln G, ln Gn, alpha) to second order; leading axes are many of them."""
 
     centre: Array  #: shape (..., 3)
     score: Array  #: slope of the logarithm there, shape (..., 3)
@@ -122,8 +122,8 @@ def likelihood_of(
 ) -> Likelihood:
     """Return what the data say, from posteriors (..., 3) with covariances (..., 3, 3).
 
-    `prior` is that of the estimator; without it they are taken for measurements. `order_counts`:
-    alpha was not given, so that what the data say of it is evidence.
+    `prior` is that of the estimator; without it the posteriors are taken for measurements.
+    `order_counts`: alpha was not given, so that it is evidence.
     """
     used = 3 if order_counts and (prior is None or prior.fractional_order_sd > 0.0) else 2
     own = np.sqrt(np.einsum("...ii->...i", covariance)) if prior is None else prior.deviations
@@ -137,7 +137,7 @@ def likelihood_of(
     else:
         known = np.maximum(1.0 / variances - 1.0, 0.0)
         off = (mean - prior.mean)[..., :used] / scale
-        # A covariance that was widened for a mismatch may exceed the prior's: nothing is known.
+        # A covariance that was widened for a mismatch may exceed the prior's: no information.
         slope = np.where(known > 0.0, _times(np.swapaxes(axes, -1, -2), off), 0.0)
     information = np.zeros((*mean.shape, 3))
     information[..., :used, :used] = np.einsum("...ij,...j,...kj->...ik", axes, known, axes) / (

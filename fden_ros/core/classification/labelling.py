@@ -27,7 +27,7 @@ _KNOWN_AGAIN = 2.0
 
 @dataclass(frozen=True)
 class DecisionConfig:
-    """When a label is given, and when it is taken back."""
+    """When a label is given, and when it is withdrawn."""
 
     probability: float = parameter(
         "classification.probability",
@@ -37,12 +37,12 @@ class DecisionConfig:
         0.34,
         1.0,
     )
-    #: It stays named while its probability is at least this [1].
+    #: The label stands while its probability is at least this [1].
     exit_probability: float = 0.5
-    #: How long another answer must stand before it replaces the one that is named [s].
+    #: How long another answer must persist before it replaces the label [s].
     min_duration: float = 0.2
-    #: library: unknown where less than this part of the contacts with the best fitting tissue lies
-    #: as far from it [1].
+    #: library: unknown where less than this part of the contacts with the best fitting tissue lie
+    #: as far from its centre [1].
     significance: float = 0.06
 
 
@@ -56,7 +56,7 @@ class Decider:
         self._since_ns = 0
 
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
-        """Take probabilities, or the `last`; return the label, empty while there is none."""
+        """Add probabilities, or the `last`; return the label, empty while there is none."""
         candidate = self._answer(classes)
         if candidate == self.label:
             self._candidate = candidate
@@ -90,7 +90,7 @@ _PROBABILITY_CHANGE = 0.01
 
 
 class Decision(enum.IntEnum):
-    """What has been decided of the tissue."""
+    """The classification of the tissue so far."""
 
     NONE = 0
     UNDETERMINED = 1
@@ -108,7 +108,7 @@ class Decided:
 
 @dataclass(frozen=True)
 class Answer:
-    """What is said of the tissue under the probe."""
+    """The answer for the tissue under the probe."""
 
     decision: Decision = Decision.NONE
     classes: ClassProbabilities | None = None
@@ -121,18 +121,18 @@ class Labeller:
     """How a contact is labelled, the same for all contacts."""
 
     library: TissueLibrary | None
-    estimator: EstimatorConfig  #: its prior is taken out of the estimates
+    estimator: EstimatorConfig  #: its prior is removed from the estimates
     decision: DecisionConfig
     #: Sites to compare with in place of the library's tissues.
     surroundings: Surroundings | None = None
 
     @property
     def library_name(self) -> str:
-        """Name of the library in use; empty: none is."""
+        """Name of the library in use; empty: none."""
         return self.library.name if self.library and self.surroundings is None else ""
 
     def forget(self, site_id: int | None = None) -> None:
-        """Compare with a site no more; None: with none of those so far."""
+        """Drop a site from the comparison; None: all sites so far."""
         if self.surroundings is not None:
             self.surroundings.forget(site_id)
 
@@ -156,7 +156,7 @@ class Labelling:
     def __init__(self, labeller: Labeller, site_id: int, start_ns: int) -> None:
         self._labeller = labeller
         self._site_id, self._start_ns = site_id, start_ns
-        self._is_mismatch = False  # as was given last
+        self._is_mismatch = False  # in the newest answer
         self._decider = Decider(labeller.decision)
         self._answer = Answer()
 
@@ -170,13 +170,13 @@ class Labelling:
         has_changed: bool,
         is_mismatch: bool,
     ) -> Iterator[Answer]:
-        """Take what is known after a numbered block; give each answer that differs from the last.
+        """Add the estimate after a numbered block; yield each answer that differs from the last.
 
         `has_changed`: the tissue under the probe; `is_mismatch`: the model does not describe it.
         """
         before = self._answer.classes
         if has_changed and before is not None:
-            # The tissue that was named is no longer under the probe.
+            # The named tissue is no longer under the probe.
             self._decider = Decider(self._labeller.decision)
             self._answer, before = replace(self._answer, decided=None), None
             yield self._give(None, is_mismatch)
@@ -193,7 +193,7 @@ class Labelling:
             yield self._give(classes, is_mismatch)
 
     def finish(self, stamp_ns: int, estimate: Estimate | None, max_strain: float) -> Answer:
-        """Return the answer at the end of the contact; no other comes that it must stand for."""
+        """Return the answer at the end of the contact, which needs no minimum duration."""
         if estimate is None or not estimate.converged:
             return Answer()
         classes = self._classes(stamp_ns, estimate, max_strain, last=True)
@@ -210,7 +210,7 @@ class Labelling:
     def _classes(
         self, stamp_ns: int, estimate: Estimate, max_strain: float, *, last: bool = False
     ) -> ClassProbabilities | None:
-        """Return the probabilities with the label that stands; None: nothing can be said."""
+        """Return the probabilities with the label that stands; None: no estimate."""
         classes, comparison = self._labeller.classes(self._site_id, estimate)
         self._answer = replace(self._answer, comparison=comparison)
         if classes is None:

@@ -20,11 +20,11 @@ from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import LogStiffness, log_stiffness
 
 ANSWERS = ("softer", "alike", "stiffer")
-#: Fewer places are no surroundings; strain of the comparison [1].
+#: Fewer places are no surroundings. Strain of the comparison [1].
 LEAST_SURROUNDINGS, _STRAIN = 4, 0.1
-#: Share of the surroundings that is something else: at first, least and most; its spread in l.
+#: Share of the surroundings that is something else: initial, least and most; its spread in l.
 _FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
-#: Least natural spread, and turns of the fixed point.
+#: Least natural spread, and iterations of the fixed point.
 _LEAST_SD, _ITERATIONS = 0.02, 30
 
 
@@ -64,7 +64,7 @@ class Comparison:
 
 
 def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
-    """Return how a place compares with those around it, shape (k,); None: they are too few."""
+    """Return how a place compares with those around it, shape (k,); None: too few."""
     values, variances = np.atleast_1d(*around)
     if values.size < LEAST_SURROUNDINGS:
         return None
@@ -99,7 +99,7 @@ class Surroundings:
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Compare a site with the others, and keep it; None: there are too few of them."""
         mean, covariance = estimate.mean, estimate.covariance
-        # With the prior where a direction is not observed.
+        # With the prior, for a direction that is not observed.
         if float(np.linalg.eigvalsh(likelihood.information).min()) > 0.0:
             covariance = np.linalg.inv(likelihood.information).astype(np.float64)
             mean = likelihood.centre + covariance @ likelihood.score

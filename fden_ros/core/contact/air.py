@@ -31,68 +31,85 @@ class ContactConfig:
     """When a contact begins and ends, and when it is at a new site."""
 
     force_threshold: float = parameter(
-        "force.threshold", 0.0, "Least force of a contact; 0: by its noise.", "N", 0.0, 1000.0
+        "force.threshold", 0.0, "Least force of a contact; 0: set by the noise.", "N", 0.0, 1000.0
     )
     force_noise: float = parameter(
         "force.noise", 0.0, "Noise per sample, as sd; 0: measured in the air.", "N", 0.0, 1000.0
     )
     noise_floor: float = parameter(
-        "force.noise_floor", 1e-5, "Least noise that is believed.", "N", TINY, 1000.0
+        "force.noise_floor", 1e-5, "Lower limit of the noise.", "N", TINY, 1000.0
     )
     measure_bias: bool = parameter(
-        "force.measure_bias", True, "Measure the bias in the air; false: it is 0 after any tare."
+        "force.measure_bias",
+        True,
+        "Measure the bias in the air; false: it is taken as 0, apart from any tare.",
     )
-    #: How far before its detection the onset of a contact is looked for; or 24 times 3 samples,
-    #: where those last longer [s].
+    #: The onset of a contact is searched for up to this time before its detection, or 24 times 3
+    #: samples where those last longer [s].
     lookback: float = 5.0
     site_distance: float = parameter(
-        "site.distance", 0.0, "Aside to a new site; 0: radius/5, 0.5 to 2 mm.", "m", 0.0, 1.0
+        "site.distance",
+        0.0,
+        "Sideways distance to a new site; 0: radius/5, 0.5 to 2 mm.",
+        "m",
+        0.0,
+        1.0,
     )
     site_timeout: float = parameter(
-        "site.timeout", 2.0, "Without positions, a later touch may be elsewhere.", "s", 0.0, 1e5
+        "site.timeout",
+        2.0,
+        "Without positions, a touch after this time may be at another site.",
+        "s",
+        0.0,
+        1e5,
     )
     without_position: str = parameter(
         "site.without_position",
         "either",
-        "Whose a touch without a position is: the same place, another, or either: then the data "
-        "decide after site.timeout.",
+        "Site of a touch without a position: the same, another, or either; then the data decide "
+        "after site.timeout.",
         choices=("same", "other", "either"),
     )
     series_compliance: float = parameter(
-        "displacement.compliance", 0.0, "Of tool and robot; it is compensated.", "m/N", 0.0, 1.0
+        "displacement.compliance",
+        0.0,
+        "Compliance of tool and robot, which is compensated.",
+        "m/N",
+        0.0,
+        1.0,
     )
-    #: Unit vector into the tissue, in the frame of the positions; zeros: it is not known.
+    #: Unit vector into the tissue, in the frame of the positions; zeros: not known.
     approach_axis: Position = (0.0, 0.0, 1.0)
 
     def compliance_free(self, pair: Pair, force: float) -> float:
-        """Return the displacement of the tissue's surface [m], without the tool's own give."""
+        """Return the displacement of the tissue's surface [m], without the tool's compliance."""
         return pair.displacement - self.series_compliance * force
 
 
 #: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
 CHUNK_NS, _CHUNK_SAMPLES = 20_000_000, 3
-#: Means are over so many chunks.
+#: Means are over these numbers of chunks.
 SCALES = (1, 2, 4, 8, 16)
-#: Probability that a mean in the air exceeds its threshold: an hour has 180,000 chunks, and what
-#: exceeds it must still be explained better by a contact than by a drift.
+#: Probability that a mean in the air exceeds its threshold: an hour has 180,000 chunks, and a
+#: contact must also explain the excess better than a drift does.
 _CHANCE = 5e-6
-#: Longer means are expected to scatter as white noise has it, with the weight of so many of them.
+#: Prior of the scatter of longer means, that of white noise, and its weight in means.
 _EXPECTED = 8
-#: Fewer chunks than 5 give neither bias nor noise; they are known from 48 samples, or 12 chunks:
-#: from fewer the noise may come out so small that noise looks like a contact.
+#: Fewer than 5 chunks give neither bias nor noise. These are known from 48 samples, or 12 chunks:
+#: with fewer the noise may come out so small that noise looks like a contact.
 MIN_CHUNKS, _MIN_AIR_SAMPLES, _ENOUGH_CHUNKS = 5, 48, 12
-#: A slow contact is detected within 1 s [ns] of its beginning. Chunks of the newest second may
-#: hold that: they do not count. Bias and noise are measured anew after every 8 chunks.
+#: A slow contact is detected within 1 s [ns] of its beginning, so chunks of the newest second do
+#: not count. Bias and noise are measured anew after every 8 chunks.
 SLOW_NS, _AIR_EVERY = NANOSECONDS, 8
-#: Vibration is no contact: that rises above the bias by 2.2 times as far as means over the same
-#: time fell below it in the lookback, so that no trough ends it.
+#: Vibration is no contact: a contact exceeds the bias by more than 2.2 times the deepest dip of
+#: means over the same time in the lookback, so that no trough ends it.
 _SWING_FACTOR = 2.2
-#: From 4 standard deviations on a sample clearly is not the air's, the noise counts as coloured
-#: (by how far the variance of the chunks' means exceeds that of white noise), and a trend of the
-#: force in the air as drift.
+#: From 4 standard deviations on, a sample is not the air's, the noise counts as coloured (by the
+#: excess of the variance of the chunks' means over that of white noise), and a trend of the force
+#: in the air counts as drift.
 CLEAR_DEVIATIONS = 4.0
-#: Standard deviation of what is rounded off, in steps; noise of less than 0.6 steps, that of
-#: the rounding included, does not make it white.
+#: Standard deviation of rounding, in steps. Noise below 0.6 steps, that of the rounding included,
+#: does not whiten it.
 _ROUNDING, _DITHER = 12.0**-0.5, 0.6
 
 
@@ -115,7 +132,7 @@ class Chunks:
         self._start_ns = 0
 
     def add(self, pair: Pair) -> Chunk | None:
-        """Take a sample; return the chunk that ends with it."""
+        """Add a sample; return the chunk that it completes."""
         forces = self._forces
         if not forces or pair.stamp_ns < self._start_ns:
             # A clock that jumped back leaves a chunk without an end.
@@ -159,18 +176,18 @@ class Air(NamedTuple):
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
 
-    Those of the lookback are kept, and the newest 24: the air before a long contact stands in for
-    that after it until that is known.
+    The chunks of the lookback are kept, and the newest 24: the air before a long contact stands
+    in for that after it until the latter is known.
     """
 
     def __init__(self, config: ContactConfig) -> None:
         self._config = config
         self.resolution = Resolution()  #: of the force
-        #: Whether contacts are found against the air as it was measured: a stated bias is believed
-        #: until the first release, after which adhesion or drift may hold the force above it.
+        #: Whether contacts are found against the measured air: a stated bias is believed until the
+        #: first release, after which adhesion or drift may hold the force above it.
         self.is_measured = config.measure_bias
-        self.is_suspected = False  #: a slow contact may be on
-        self.thresholds: Array = np.zeros(len(SCALES))  #: least means that are no air [N]
+        self.is_suspected = False  #: a slow contact may have begun
+        self.thresholds: Array = np.zeros(len(SCALES))  #: means above these are not air [N]
         self._chunks: deque[Chunk] = deque()
         self._count = 0
         self._air: Air | None = None
@@ -189,7 +206,7 @@ class Baseline:
         return now_ns - stamp_ns > self._config.lookback * NANOSECONDS
 
     def keep(self, chunk: Chunk) -> None:
-        """Take a chunk in the air."""
+        """Add a chunk in the air."""
         chunks = self._chunks
         # A clock that jumped back has left chunks ahead.
         self._drop_since(chunk.start_ns)
@@ -206,7 +223,7 @@ class Baseline:
             if self.is_measured or not (config.force_noise or config.force_threshold):
                 return None
             return self._measured(chunks or (chunk._replace(square_sum=0.0),))
-        # Not while a slow contact may be on, or the baseline would creep along with it.
+        # Not while a slow contact may have begun, or the baseline would follow it.
         is_due = self._count % _AIR_EVERY == 0 and not self.is_suspected
         if self._air is None or is_due:
             old = tuple(one for one in chunks if one.end_ns <= chunk.start_ns - SLOW_NS)
@@ -228,7 +245,7 @@ class Baseline:
                 rises.append(total / size)
         best = int(np.argmax(np.array(rises) / self.thresholds[: len(rises)]))
         rise, limit, scale = rises[best], float(self.thresholds[best]), SCALES[best]
-        # Where the bias is given, what is below it may be the bias.
+        # Where the bias is given, a force below it may be the bias.
         if rise > limit and self.is_measured and len(self._chunks) >= scale:
             above = [one.mean - self.bias_at(one.end_ns) for one in self._chunks]
             sums = np.cumsum([0.0, *above])
@@ -237,13 +254,13 @@ class Baseline:
         return Excess(rise / limit, limit, scale)
 
     def _measured(self, chunks: tuple[Chunk, ...]) -> Air:
-        """Return the air of some chunks, and let the thresholds be those that it gives."""
+        """Return the air of some chunks, and set the thresholds by it."""
         air = self._air_of(chunks)
         means = np.array([chunk.mean for chunk in chunks])
         sd, freedom = _scatter_of(means, sum(c.size for c in chunks) / len(chunks), air.white)
         least: Array = -stdtrit(freedom, _CHANCE) * np.hypot(sd, air.sd)
         if not self.is_measured:
-            # A longer mean shows no better whether the bias is what is stated.
+            # A longer mean is no better evidence that the stated bias is right.
             least = np.maximum(least, least[0])
         self.thresholds = np.maximum(least, self._config.force_threshold)
         return air
@@ -252,7 +269,7 @@ class Baseline:
         """Return the mean of the air's force or, where it drifts, its trend."""
         config, step, end_ns = self._config, self.resolution.step, chunks[-1].end_ns
         mean, fast, count = _mean_of(chunks)
-        # Where noise does not make it white, what is rounded off stays for many samples.
+        # Where noise does not whiten it, the rounding error persists for many samples.
         is_dithered = config.force_noise or fast >= _DITHER * step
         rounding = 0.0 if is_dithered else _ROUNDING * step
         slow = max(config.noise_floor, rounding * math.sqrt(max(chunk.size for chunk in chunks)))
@@ -309,8 +326,8 @@ def _mean_of(chunks: tuple[Chunk, ...]) -> tuple[float, float, int]:
 def _scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     """Return the standard deviation of means in the air [N] and its degrees of freedom, per scale.
 
-    By the successive differences (Allan's variance) of the `means` of chunks in the air [N], of
-    `size` samples each, within which these have a deviation of `noise` [N].
+    From the successive differences (Allan's variance) of the `means` of chunks in the air [N], of
+    `size` samples each, with a deviation of `noise` [N] within them.
     """
     found: list[tuple[float, float]] = []
     freedom, variance = means.size * (size - 1.0), noise**2
@@ -329,10 +346,10 @@ def _scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
 def _noise_of_means(chunks: tuple[Chunk, ...], white: float, count: int) -> float:
     """Return the noise per sample [N] that means over some time show.
 
-    More than the `white` noise within the chunks, of `count` samples, where it is coloured, since
-    then averaging helps less: half the variance of the differences of successive means (Allan),
-    drift apart, at the scale where it is largest. From half a chunk on, which is a block of the
-    estimator: vibration of 35 Hz is nearly over in a whole one.
+    Coloured noise averages less than the `white` noise within the chunks, of `count` samples. So
+    it is half the variance of the differences of successive means (Allan), less drift, at the
+    scale where that is largest. The least scale is half a chunk, a block of the estimator:
+    vibration of 35 Hz nearly cancels in a whole one.
     """
     noise, size = white, 0.5 * count / len(chunks)
     means, steps = np.array([c.mean for c in chunks]), np.array([c.step for c in chunks])

@@ -3,9 +3,9 @@
 
 """Contact: when the probe touches, where the tissue's surface is, and when the probe leaves.
 
-In the air the force's bias and noise are measured. A rise above the noise that the motion explains
-better than a drift does is a contact; its onset is found backwards, among the samples kept from
-before the detection, because a threshold alone places the strain origin too late.
+The force's bias and noise are measured in the air. A contact is a rise above the noise that the
+motion explains better than a drift does. Its onset is searched for backwards, among the samples
+kept from before the detection, because a threshold alone places the contact point too deep.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ from fden_ros.core.contact.air import (
 from fden_ros.core.contact.surface import FIRST_WINDOW, Approach, find_surface
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: What lasts no longer than this before the first contact may be a press as well as the air [ns]:
-#: a record that began in a press of 0.1 N took 50 ms of it for the air (test_faults).
+#: Anything this short before the first contact may be a press as well as the air [ns]: a record
+#: that began in a press of 0.1 N took 50 ms of it for the air (test_faults).
 _LEAST_AIR_NS = 100_000_000
-#: A rise of the force that a contact explains by less than this chi-squared better than a straight
-#: line in time does is a drift. One that may still grow is given time up to 200: what is seen
-#: longer shows the surface better.
+#: A rise of the force is a drift where a contact explains it better than a straight line in time
+#: by less than this chi-squared. A rise that may still grow is observed until 200: the longer it
+#: lasts, the better it shows the surface.
 MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
-#: After 10 chunks in a row below the bias by more than the threshold the bias is another.
+#: After 10 consecutive chunks below the bias by more than the threshold the bias has changed.
 _BELOW_CHUNKS = 10
 #: A rise is examined again when it has lasted for a tenth longer, or has fallen by 30 %. It was a
 #: drift when it lasted for 2 chunks, is over, and a slow contact would have been found by then.
 RETRY, _OVER = 0.1, 0.7
-#: Noise counts as coloured from 1.5 times the white noise; then the surface is looked for over 1 s
-#: at first.
+#: Noise counts as coloured from 1.5 times the white noise; the surface is then first searched for
+#: over 1 s.
 _COLOUR, LONG_WINDOW = 1.5, 1.0
-#: From half of what is a contact on, a slow one may be on, and the baseline stands still.
+#: From this part of a contact's threshold on, a slow one may have begun: the baseline is frozen.
 _SUSPICION = 0.5
-#: Samples of the lookback that are kept at least, and at most.
+#: Fewest and most samples of the lookback.
 _LEAST_LOOKBACK, _MOST_LOOKBACK = 72, 40_000
 #: A contact ends when the mean over as many chunks as detected it, at least 2, is below half of
-#: what is a contact, ...
+#: its threshold, ...
 _RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
-#: ... or when the probe is behind the surface by this share of its deepest penetration. One that
-#: holds still, within this share of that, does not leave: the tissue relaxes.
+#: ... or when the probe is behind the surface by this share of its deepest penetration. A probe
+#: that holds still, within this share, does not leave: the tissue relaxes.
 _RETREAT, _HELD = 0.2, 0.05
-#: Inertia counts where its largest force in the air is more than this share of that detected.
+#: Inertia counts where its largest force in the air exceeds this share of the detected force.
 _INERTIAL = 0.05
 
 
@@ -64,7 +64,7 @@ class Onset(NamedTuple):
     """The beginning of a contact."""
 
     samples: tuple[Pair, ...]  #: from just before the onset to the detection
-    #: The way of the probe before these: times, counted from the first of them [s], displacements
+    #: The approach before these: times, counted from the first of them [s], displacements
     #: [m], compliance removed, and forces, less bias and drift [N]; shape (3, n).
     way: Array
     bias: float  #: of the force, already subtracted from the samples [N]
@@ -75,8 +75,8 @@ class Onset(NamedTuple):
     displacement: float  #: at the onset, compliance removed [m]
     displacement_sd: float  #: its standard deviation [m]
     shows_surface: bool  #: noise does not hide where the force begins
-    seen: bool  #: False: the force was there when the data began, so the origin is not known
-    air_seen: bool  #: the data began in the air, even if the surface is not to be seen in them
+    seen: bool  #: False: the data began in contact, so the contact point is not known
+    air_seen: bool  #: the data began in the air, even if they do not show the surface
     release_force: float = 0.0  #: below it a sample is not pressing [N]
 
 
@@ -90,12 +90,12 @@ class Release(NamedTuple):
 class _Rise:
     """A rise of the force that may be a contact's."""
 
-    doubted_ns: int | None = None  #: since when a drift explains it as well
-    doubted_chunks: int = 0  #: above the threshold since
-    peak: float = 0.0  #: largest ratio to what air gives, since it fell last [1]
-    is_clear: bool = False  #: a chunk was
+    doubted_ns: int | None = None  #: when a drift first explained it as well
+    doubted_chunks: int = 0  #: chunks above the threshold since then
+    peak: float = 0.0  #: largest ratio to the threshold, since it fell last [1]
+    is_clear: bool = False  #: a chunk was clearly above
     is_doubted: bool = False  #: a drift explains it as well
-    look_ns: int = 0  #: when it is examined again
+    look_ns: int = 0  #: next examination
 
 
 class _Press:
@@ -108,22 +108,22 @@ class _Press:
         self.release_force = _RELEASE_SHARE * self._clear
         self._low = _RELEASE_SHARE * excess.threshold
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
-        self._newest: deque[tuple[Chunk, bool]] = deque()  # and whether the probe held at its end
+        self._newest: deque[tuple[Chunk, bool]] = deque()  # with whether the probe held at its end
         self._behind_chunks, self._has_held = 0, False
-        #: The probe has left with a force that is drift of the sensor: there is no tissue.
+        #: The probe has left, and the remaining force is drift of the sensor.
         self.is_behind = False
 
     def add(self, chunk: Chunk, pair: Pair) -> int | None:
-        """Take a chunk and its last pair; return since when the probe has left [ns], or None."""
+        """Add a chunk and its last pair; return since when the probe has left [ns], or None."""
         self._deepest = max(self._deepest, pair.displacement)
         if chunk.mean - self.bias > self._clear:
-            # However faintly it began, single chunks have shown it now.
+            # However faint its beginning, single chunks have shown the contact now.
             self._averaged, self._low = _RELEASE_CHUNKS, self.release_force
         level = self.bias + self._low
         is_low = chunk.mean < level
         is_behind = self._surface - pair.displacement > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
-        # The chunk in which the probe leaves may still be full of contact.
+        # The chunk in which the probe leaves may be mostly contact.
         if is_behind and (is_low or self._behind_chunks > 1):
             self.is_behind = not is_low
             return chunk.start_ns
@@ -161,7 +161,7 @@ class ContactDetector:
 
     def reset(self) -> None:
         """Forget all samples, the baseline and the contact."""
-        #: Newest time at which what was taken for the air turned out to be a contact.
+        #: Newest time at which presumed air turned out to be a contact.
         self.left_unseen_ns: int | None = None
         self._samples: deque[Pair] = deque(maxlen=_MOST_LOOKBACK)
         self._baseline, self._chunks = Baseline(self._config), Chunks()
@@ -180,7 +180,7 @@ class ContactDetector:
         return None if self.in_contact else self._baseline.mean()
 
     def add(self, pair: Pair) -> Onset | Release | None:
-        """Take one pair; return an event if the contact begins or ends with it."""
+        """Add one pair; return an event if the contact begins or ends with it."""
         samples, press = self._samples, self._press
         if self._began_ns is None:
             self._began_ns = pair.stamp_ns
@@ -231,7 +231,7 @@ class ContactDetector:
         return None
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
-        """Whether a rise of the force is no drift and no swing."""
+        """Whether a rise of the force is neither drift nor vibration."""
         if not self._baseline.is_measured:
             return True
         rise, evidence = self._rise, approach.evidence
@@ -239,8 +239,8 @@ class ContactDetector:
             evidence = 0.0
         rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
         if evidence < MIN_EVIDENCE:
-            # A drift, which rises whatever the probe does; or the beginning of a contact that is
-            # too faint yet.
+            # A drift, which rises whatever the probe does, or the beginning of a contact that is
+            # still too faint.
             rise.doubted_ns = rise.doubted_ns or now_ns
             rise.is_doubted = not may_grow or now_ns - rise.doubted_ns > SLOW_NS
         if evidence < (AMPLE_EVIDENCE if may_grow else MIN_EVIDENCE):
@@ -248,7 +248,7 @@ class ContactDetector:
         return approach.is_established(is_clear=not may_grow)
 
     def _end_rise(self, now_ns: int, ratio: float) -> None:
-        """Forget a rise that is over, and count it as a drift if no contact came of it."""
+        """Drop a rise that is over, and count it as a drift if no contact followed."""
         rise = self._rise
         rise.peak = ratio
         if ratio >= 1.0:
@@ -282,33 +282,33 @@ class ContactDetector:
         noise = baseline.level(bias, white, pairs[approach.first].stamp_ns).noise
         if noise <= _COLOUR * white:
             return approach
-        # What swings slowly is neither independent from sample to sample nor seen in 0.1 s.
+        # A slow swing is neither independent from sample to sample nor seen in 0.1 s.
         return find_surface(time, force, displacement, self._order, noise, LONG_WINDOW)
 
     def _begun(self, approach: Approach, noise: float, clear: float, excess: Excess) -> Onset:
-        """Begin the contact that an approach has met; the baseline forgets what is of it."""
+        """Begin the contact of an approach; the baseline drops its samples."""
         baseline, pairs = self._baseline, self._samples
         onset_ns, is_measured = pairs[approach.first].stamp_ns, self._config.measure_bias
         bias, drift = baseline.bias_at(pairs[-1].stamp_ns), baseline.drift
         baseline.forget_since(onset_ns)
         level = baseline.level(bias, noise, onset_ns)
         air_seen = approach.began_in_air(clear, self._config.site_timeout)
-        # A probe that rested there until the force rose may have pressed already: its bias would
+        # A probe that rested until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not is_measured or approach.came_through_air()
         if not self._has_released:
-            # Nor is it air, before the first release, where the force rises with the way.
+            # Nor, before the first release, is it air where the force rises with the displacement.
             if level.slope > 0.0:
                 came &= approach.rises_by_itself(drift, level.noise)
             assert self._began_ns is not None
             came &= not is_measured or onset_ns - self._began_ns > _LEAST_AIR_NS
         mass, inertia = approach.inertia()
         if inertia > _INERTIAL * float(approach.force[approach.first :].max()):
-            # It hides the touch: the surface was found up to 5 mm too deep.
+            # Inertia hides the touch: the surface was found up to 5 mm too deep.
             came, self.inertial, self.mass = False, self.inertial + 1, mass
         seen = approach.first > 0 and air_seen and came
         if not (seen or self._has_released):
-            # There was no air yet in which the force could drift: what rose was this contact.
+            # There was no air yet in which the force could drift: the rise was this contact.
             self.drifts = 0
         self.has_seen_air |= seen
         # A little before the onset, so that the memory begins with the air.
@@ -343,7 +343,7 @@ class ContactDetector:
             self._baseline.forget_all_but(0)
         self._press, self._has_released, self.has_seen_air = None, True, True
         self._baseline.is_measured = True
-        # What is air at its end is air before the next one.
+        # The air at its end is the air before the next one.
         samples, least = self._samples, press.bias + press.release_force
         newest = (k for k, p in enumerate(samples) if p.force >= least or p.stamp_ns < left_ns)
         for _ in range(max(newest, default=-1) + 1):

@@ -4,11 +4,11 @@
 r"""Where an approach met the tissue: the surface, found backwards from the detection.
 
 Least squares of the law's response at small strain, :math:`k\,D^\alpha \max(d - d_0, 0)`, over
-the surface :math:`d_0`, the stiffness k and the force's bias eliminated; exact for any approach,
-since the fractional derivative is that of the measured motion.
+the surface :math:`d_0`; the stiffness k and the force's bias are eliminated. This is exact for any
+approach, since the fractional derivative is that of the measured motion.
 
-Where noise hides the linear part, below the strain 1/Gn, the force rises as :math:`e^{G_n x}`, and
-a surface found by a line is where the noise ends, not where the tissue begins.
+Where noise hides the linear part, below the strain 1/Gn, the force rises as :math:`e^{G_n x}`. A
+surface found by a line is then where the force leaves the noise, not where the tissue begins.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
 
-#: Growths over the depth at which exponentials are compared with the line: that bends less than
-#: the first of them, and the steepest is beyond what the noise hides.
+#: Growths over the depth at which exponentials are compared with the line: the line bends less
+#: than the first of them, and the steepest is beyond what the noise hides.
 _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
 #: A probe has moved by more than this many deviations of the surface, and than this many usual
-#: steps of the displacement: noise alone reaches eight. And away from the surface after this time
-#: [s]: a probe that chatters is off for less.
+#: steps of the displacement: noise alone reaches eight. And for at least this time away from the
+#: surface [s]: chatter is shorter.
 _CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
 #: onset, then 40 about the best: the work is bounded, however many samples a window holds.
@@ -40,18 +40,18 @@ _MAX_BINS, _CANDIDATES = 96, 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the
 #: onset lies well within it, and the force before it is less than this share of that detected.
 FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _AIR_SHARE = 0.1, 24, 0.6, 0.1
-#: After a release a probe that has not advanced touches nothing. It has by more than 6 usual
-#: second differences, 10 deviations of white noise, and than 2 of the steps of its encoder.
+#: After a release a probe that has not advanced touches nothing. It has advanced by more than 6
+#: usual second differences, 10 deviations of white noise, and 2 steps of its encoder.
 _ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
-#: How the force swings while the probe moves is known after 0.2 s in which it moved at 0.3 of its
-#: present speed, by steps of 20 ms; before that a rise must last for 0.15 s from a tenth of its
-#: depth on: then one half of a vibration of 5 Hz is over.
+#: The swing of the force while the probe moves is known after 0.2 s of motion at 0.3 of its
+#: present speed, by steps of 20 ms. Before that a rise must last for 0.15 s from a tenth of its
+#: depth on: one half of a vibration of 5 Hz is then over.
 _MOTION_TIME, _MOTION_SHARE, _MOTION_STEP, _LASTING, _SHALLOW = 0.2, 0.3, 0.02, 0.15, 0.1
 #: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
-#: from a correlation of so many standard deviations on: that of white noise reaches four.
+#: from a correlation of this many standard deviations on: that of white noise reaches four.
 _AVERAGED, _FOLLOWS = 0.004, 8.0
-#: The force rises by itself where a line in time explains it better than one in the way does, by
-#: this chi-squared.
+#: The force rises by itself where a line in time explains it better than a line in the
+#: displacement, by this chi-squared.
 _BY_ITSELF = 4.0
 
 
@@ -81,9 +81,9 @@ class Approach(NamedTuple):
         return way > _clear_way(self.surface_sd, before)
 
     def has_advanced(self) -> bool:
-        """Whether the probe has moved in since the release, by more than noise makes.
+        """Whether the probe has moved in since the release, by more than by noise.
 
-        What moves evenly has no second differences; of noise they are 1.65 deviations.
+        Even motion has no second differences; those of noise are 1.65 deviations.
         """
         way = self.displacement
         steps = np.abs(np.diff(way))
@@ -113,9 +113,9 @@ class Approach(NamedTuple):
         return mass, mass * float(np.abs(acceleration).max())
 
     def rises_by_itself(self, drift: float, noise: float) -> bool:
-        """Whether time explains the force before the touch, and not the way of the probe.
+        """Whether time explains the force before the touch better than the displacement does.
 
-        Tissue that was pressed already would push more as the probe advances, and less at rest.
+        Tissue that is already pressed would push more as the probe advances, and less at rest.
         `drift` [N/s] was subtracted from the force, whose noise per sample is `noise` [N].
         """
         time, way = (values[: self.first] for values in (self.time, self.displacement))
@@ -133,13 +133,13 @@ class Approach(NamedTuple):
         return pressed.size > 0 and bool(self.time[self.first] - self.time[pressed[-1]] > rest)
 
     def is_established(self, *, is_clear: bool) -> bool:
-        """Whether the present rise can be no swing of a force that is shaken by the motion.
+        """Whether the present rise cannot be a swing of a force that the motion shakes.
 
         It has lasted, or the probe has moved as fast before and the force's swing is known.
         """
         time, first = self.time, self.first
         depth = self.displacement - self.surface
-        # Where the probe rested, the surface may have been found anywhere in that time.
+        # Where the probe rested, the surface may lie anywhere in that time.
         shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
         first += int(shallow[-1]) if shallow.size else 0
         lasting = float(time[-1] - time[first])
@@ -163,7 +163,7 @@ def find_surface(
     """Find where the force begins to follow the displacement, in samples that end in contact.
 
     These are [s], [N] less bias, and [m], shape (n,); `noise` is the least standard deviation of
-    the force per sample, as white noise [N], `window` the first to look in [s].
+    the force per sample, as white noise [N], `window` the first one to search [s].
     """
     detected = float(force[-_MIN_WINDOW_SAMPLES // 2 :].mean())
     while True:
@@ -173,7 +173,7 @@ def find_surface(
         tried = np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
         onset_time = bins.best(tried)
         inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
-        # A bend within the contact is no onset: before that, the force is the air's.
+        # A bend within the contact is no onset: before the onset the force is the air's.
         before = float(bins.force[bins.time <= onset_time].mean())
         if start == 0 or (inside and before < _AIR_SHARE * detected):
             break
@@ -187,7 +187,7 @@ def find_surface(
 
 
 def _clear_way(surface_sd: float, displacement: Array) -> float:
-    """Return the way from a surface [m] that neither its deviation nor usual steps make.
+    """Return the distance from a surface [m] beyond its deviation and the usual steps.
 
     `displacement`: two samples or more, [m], shape (n,).
     """
@@ -200,14 +200,14 @@ def _last_way_in(
 ) -> int:
     """Return the first sample behind the surface since the probe was last before it.
 
-    A retract passes the surface, too, and explains the force of the next press as well. What is
+    A retract also passes the surface, and explains the force of the next press as well. Anything
     shorter than `_LEAST_AWAY` is no retract: a probe that chatters is in one contact.
     """
     first = int(np.searchsorted(time, onset_time))
     way = displacement[first:]
     if way.size < 2:
         return first
-    # As far before it as a probe is that came through the air.
+    # As far before it as a probe that came through the air.
     before = np.flatnonzero(way < surface - _clear_way(surface_sd, way))
     if not before.size or time[first + before[-1]] - time[first + before[0]] < _LEAST_AWAY:
         return first
@@ -264,7 +264,7 @@ class _Bins:
     def evidence(self, onset_time: float) -> tuple[float, bool]:
         """Return the chi-squared by which a contact fits better than a line in time.
 
-        And whether the force rose along a line from the onset on, not exponentially.
+        Also return whether the force rose along a line from the onset on, not exponentially.
         """
         contact = float(self.misfit(np.array([onset_time]))[0])
         line = np.polynomial.Polynomial.fit(self.time, self.force, 1)
@@ -284,8 +284,8 @@ class _Bins:
     def surface(self, onset_time: float, spacing: float) -> tuple[float, float]:
         """Return the surface and its standard deviation [m], by the curvature of the misfit.
 
-        One bin in contact, or two of which the first is hardly so, show the force's gain or the
-        surface, not both: then it may be anywhere between two bins.
+        One bin in contact, or two of which the first hardly is, show the force's gain or the
+        surface, not both: the surface may then be anywhere between two bins.
         """
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)

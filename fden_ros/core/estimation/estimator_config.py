@@ -38,8 +38,7 @@ class Prior:
     fractional_order: float = parameter(
         "prior.alpha",
         0.31,
-        "Median of alpha before the touch, or alpha itself where alpha.learn is false; "
-        "0: a spring.",
+        "Median of alpha before the touch, or alpha itself if alpha.learn is false; 0: a spring.",
         "1",
         0.0,
         0.6,
@@ -99,8 +98,8 @@ class Uncertainty:
     surface_motion_sd: float = parameter(
         "surface.motion_sd",
         0.00012,
-        "Standard deviation of its motion in one second that is not measured, as by breathing; "
-        "0: it rests.",
+        "Standard deviation of its unmeasured motion in one second, such as breathing; 0: it "
+        "rests.",
         "m",
         0.0,
         0.1,
@@ -108,7 +107,7 @@ class Uncertainty:
     force_drift_sd: float = parameter(
         "force.drift_sd",
         0.005,
-        "Standard deviation of the drift of the force's zero in one second of contact; 0: none.",
+        "Standard deviation of the drift of the force's bias in one second of contact; 0: none.",
         "N",
         0.0,
         1000.0,
@@ -116,7 +115,7 @@ class Uncertainty:
     friction_sd: float = parameter(
         "force.friction_sd",
         0.007,
-        "Standard deviation of the friction that force.friction leaves; 0: none.",
+        "Standard deviation of the friction around force.friction; 0: none.",
         "N",
         0.0,
         1000.0,
@@ -124,7 +123,7 @@ class Uncertainty:
     compliance_sd: float = parameter(
         "displacement.compliance_sd",
         0.0002,
-        "Standard deviation of the compliance that displacement.compliance leaves; 0: none.",
+        "Standard deviation of the compliance around displacement.compliance; 0: none.",
         "m/N",
         0.0,
         1.0,
@@ -132,7 +131,7 @@ class Uncertainty:
     delay_sd: float = parameter(
         "displacement.delay_sd",
         0.0025,
-        "Standard deviation of the delay that displacement.delay leaves; 0: none.",
+        "Standard deviation of the delay around displacement.delay; 0: none.",
         "s",
         0.0,
         0.01,
@@ -173,14 +172,14 @@ class EstimatorConfig:
     kind: EstimatorKind = parameter(
         "estimator.kind",
         EstimatorKind.GRID,
-        "The estimator: grid models the errors of law and rig; ekf is the paper's recursion. It "
-        "converges only where law and rig are stated to be exact.",
+        "The estimator: grid models the errors of law and rig; ekf is the paper's recursion. ekf "
+        "converges only if law and rig are stated to be exact.",
     )
     learns_fractional_order: bool = parameter(
         "alpha.learn",
         True,
-        "Learn alpha together with G and Gn; false: it is prior.alpha, and counts with "
-        "prior.alpha_sd. An estimator.kind of ekf learns it unless prior.alpha_sd is 0.",
+        "Learn alpha together with G and Gn; false: alpha is prior.alpha, with prior.alpha_sd. "
+        "With estimator.kind ekf alpha is learned unless prior.alpha_sd is 0.",
     )
     converged_log_gn_sd: float = parameter(
         "converged.log_gn_sd",
@@ -207,7 +206,7 @@ class EstimatorConfig:
     friction: float = parameter(
         "force.friction",
         0.0,
-        "Friction against the motion of the probe; counts where force.friction_sd is not 0.",
+        "Friction against the motion of the probe; used if force.friction_sd is not 0.",
         "N",
         -1000.0,
         1000.0,

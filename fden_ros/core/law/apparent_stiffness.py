@@ -3,8 +3,8 @@
 
 r"""Stiffness for a small motion that lasts tau, with its deviation.
 
-A fractional solid has no stiffness without a time scale, nor a nonlinear one without a strain. The
-apparent modulus is
+A fractional solid has no stiffness without a time scale, and a nonlinear one none without a
+strain. The apparent modulus is
 
 .. math:: E = \varphi'(x)\,\frac{\tau^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
    \ln E = \ln G + \max(G_n |x| - 1, 0) - \alpha \ln\tau - \ln\Gamma(1 - \alpha),
@@ -46,7 +46,7 @@ def log_stiffness_at(
 ) -> tuple[float, float] | None:
     """Return mean and variance of ln dF/dd [ln N/m], to first order; None: there is no stiffness.
 
-    Beyond 1/Gn it is Gn times the stress, and known as well as these are, whatever G and origin.
+    Beyond 1/Gn it is Gn times the stress, and as certain as these, whatever G and origin.
 
     Parameters
     ----------

@@ -14,9 +14,9 @@ value and slope at the boundary strain :math:`x_b = 1/G_n`. With :math:`u = \ln 
 :math:`\partial\varphi/\partial u = \varphi\,(G_n|x| - 1)` beyond the boundary strain, 0 within:
 one smooth observation, no switching.
 
-Beyond the exponent :data:`MAX_EXPONENT` phi goes on along its tangent, in every function here. The
+Beyond the exponent :data:`MAX_EXPONENT` every function here continues phi along its tangent. The
 scalar functions serve the filters sample by sample; those on arrays may differ from them in the
-last bits, as the exponential function of numpy does from that of the C library.
+last bits, because numpy's exponential function differs from that of the C library.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Number = TypeVar("Number", float, Array)
 #: Exponent Gn |x| - 1 beyond which phi is continued by its tangent: e^60 is no tissue, and an
 #: overflow would poison the filter.
 MAX_EXPONENT = 60.0
-#: Logarithm beyond which a double overflows, with a margin: such a fit's step is not taken.
+#: Logarithm beyond which a double overflows, with a margin: such a step of a fit is rejected.
 _LARGEST_LOG = 700.0
 
 
@@ -146,7 +146,7 @@ def exponential_scale(linear_stiffness: float, nonlinear_stiffness: float) -> fl
 def apparent_stiffness_factor(fractional_order: float, time_scale: float) -> float:
     """Return tau^-alpha / Gamma(1 - alpha) [s^-alpha], the relaxation after tau per unit of G.
 
-    A fractional solid has no single stiffness. Times dphi/dx this is the stress per strain that a
-    small step meets after `time_scale` seconds (paper, eq. E1 with its factor corrected).
+    Times dphi/dx this is the stress per strain that a small step meets after `time_scale` seconds
+    (paper, eq. E1 with its factor corrected).
     """
     return float(time_scale**-fractional_order / math.gamma(1.0 - fractional_order))

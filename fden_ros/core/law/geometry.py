@@ -23,7 +23,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.law.layer import LAYER_TERMS, hayes_factor, sphere_series
 from fden_ros.core.parameter import TINY, parameter
 
-#: The most that a sphere reaches on a thick tissue, in radii [1].
+#: Largest indentation of a sphere on a thick tissue, in radii [1].
 _DEEPEST_SPHERE = 4.64
 #: sqrt(R d) / h up to which the series of a sphere on a layer holds [1].
 _THINNEST = 2.0
@@ -41,14 +41,14 @@ class Geometry(ABC):
     """A contact geometry: strain is a power of the compression, or a series of powers."""
 
     kind: ClassVar[str]  #: its name in parameters and libraries
-    unit: ClassVar[str] = "N"  #: of what is measured as the force
-    exponent: ClassVar[float] = 1.0  #: of that power, the first [1]
-    is_one_sided: ClassVar[bool] = True  #: the tissue lets go of the probe, and cannot pull at it
-    sizes: ClassVar[tuple[str, ...]] = ()  #: what is stated of it, parameters of `geometry`
-    #: How it is stated in a parameter file.
+    unit: ClassVar[str] = "N"  #: of the measured force
+    exponent: ClassVar[float] = 1.0  #: the first of these powers [1]
+    is_one_sided: ClassVar[bool] = True  #: the tissue can push the probe but not pull at it
+    sizes: ClassVar[tuple[str, ...]] = ()  #: its parameters of `geometry`
+    #: Its description in a parameter file.
     example: ClassVar[str] = "kind: flat_punch, area: 3.14e-4, thickness: 0.02"
-    #: Whether its sizes are those of a probe, not numbers that stand in for them: else nothing can
-    #: be converged.
+    #: Whether its sizes are those of a probe, not placeholders, with which no estimate can
+    #: converge.
     is_stated: bool
 
     @property
@@ -63,7 +63,7 @@ class Geometry(ABC):
 
     @property
     def probe_radius(self) -> float:
-        """Radius of the probe, as if it were round [m]; 0: not known."""
+        """Radius of the probe, or of a round one of its area [m]; 0: not known."""
         return 0.0
 
     @property
@@ -78,19 +78,19 @@ class Geometry(ABC):
 
     @property
     def size_gain(self) -> float:
-        """By how much more than a thickness or radius G and Gn are off [1]."""
+        """Relative error of G and Gn per relative error of the thickness or radius [1]."""
         return 1.0
 
     def strain(self, compression: float) -> float:
         """Return the strain x [1] at a compression from the strain origin [1].
 
-        Of another power than 1 it is 0 above the surface: there is no contact.
+        If the power is not 1 it is 0 above the surface: there is no contact.
         """
         power = self.exponent
         return compression if power == 1.0 else max(compression, 0.0) ** power
 
     def strain_slope(self, compression: float) -> float:
-        """Return dx/du [1] there."""
+        """Return dx/du [1] at a compression."""
         power = self.exponent
         return 1.0 if power == 1.0 else power * max(compression, 0.0) ** (power - 1.0)
 
@@ -109,7 +109,7 @@ class Geometry(ABC):
         terms = np.array(self.series) * np.sqrt(sizes)[..., None] ** orders
         steeper = terms * (1.0 + 0.5 * orders / power)
         steep = 1.0 + steeper.sum(axis=-1)
-        # At the surface they have no bound.
+        # At the surface they are unbounded.
         with np.errstate(divide="ignore"):
             bends = (power - 1.0 + steeper @ (0.5 * orders) / steep) / sizes
         return Strains(values * (1.0 + terms.sum(axis=-1)), slopes * steep, bends)
@@ -123,16 +123,16 @@ class FlatPunch(Geometry):
     sizes = "area", "thickness", "hayes"
     area: float  #: area of the probe's face A [m^2]
     thickness: float  #: thickness of the tissue h [m]
-    #: Given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of the
-    #: layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
+    #: If given, stress is divided by Hayes' factor, so that G is the tissue's own and not that of
+    #: the layer under a probe smaller than it; see :func:`hayes_factor`. None: no correction.
     poisson_ratio: float | None = None
-    #: For that factor the base holds the tissue; else the tissue slips on it.
+    #: For that factor the base holds the tissue; otherwise the tissue slips on it.
     is_bonded: bool = True
     is_stated: bool = True
 
     @property
     def most_strain(self) -> float:
-        """It cannot go deeper than the tissue is thick."""
+        """The thickness of the tissue."""
         return 1.0
 
     @property
@@ -167,8 +167,8 @@ class Sphere(Geometry):
     of the force, the memory is exact where the law is linear, and G is the plane-strain modulus in
     Pa s^alpha.
 
-    On a layer the strain is larger by a factor of the depth, :func:`.layer.sphere_series`: of an
-    incompressible layer that its base holds 3.4 at sqrt(R delta)/h = 0.75.
+    On a layer the strain is larger by a factor of the depth, :func:`.layer.sphere_series`: 3.4 for
+    an incompressible bonded layer at sqrt(R delta)/h = 0.75.
     """
 
     kind = "sphere"
@@ -178,7 +178,7 @@ class Sphere(Geometry):
     radius: float  #: radius of the tip R [m]
     thickness: float = math.inf  #: of the tissue, on a rigid base [m]; infinite: a half-space
     poisson_ratio: float = 0.5  #: of the tissue nu [1]; counts where it is bonded
-    is_bonded: bool = True  #: the base holds the tissue; else the tissue slips on it
+    is_bonded: bool = True  #: the base holds the tissue; otherwise it slips on the base
     is_stated: bool = True
 
     @property
@@ -325,7 +325,7 @@ class GeometryConfig:
         "geometry.thickness",
         0.0,
         "flat_punch, sphere: thickness of the tissue on its rigid base; torsional_rheometer: "
-        "height of the sample; 0: not stated, under a sphere then thick.",
+        "height of the sample; 0: not stated, which under a sphere means thick.",
         "m",
         1e-9,
         1.0,
@@ -348,14 +348,14 @@ class GeometryConfig:
     bonded: bool = parameter(
         "geometry.bonded",
         True,
-        "The base holds the tissue; false: the tissue slips on it. Counts with hayes, and under a "
-        "sphere with a thickness.",
+        "The tissue sticks to its base; false: it slips. Used with hayes, and under a sphere "
+        "with a thickness.",
     )
     poisson_ratio: float = parameter(
         "geometry.poisson_ratio",
         0.5,
-        "Poisson's ratio of a layer that its base holds: with hayes, or under a sphere with a "
-        "thickness.",
+        "Poisson's ratio of a layer that sticks to its base; used with hayes, or under a sphere "
+        "with a thickness.",
         "1",
         0.0,
         0.5,
@@ -364,7 +364,7 @@ class GeometryConfig:
     def build(self) -> Geometry:
         """Return the geometry.
 
-        It is not stated where a size that its kind needs is 0; another one stands in for it.
+        It is not stated where a size that its kind needs is 0; a placeholder then replaces it.
         """
         area, radius, thickness = self.area or 1e-4, self.radius or 0.005, self.thickness or 0.02
         has_thickness, has_radius = self.thickness > 0.0, self.radius > 0.0

@@ -54,7 +54,7 @@ def hayes_factor(aspect_ratio: float, poisson_ratio: float, *, is_bonded: bool =
     poisson_ratio : float
         Poisson's ratio nu [1], 0 to 0.5.
     is_bonded : bool
-        The base holds the layer; else it slips on it.
+        The base holds the layer; otherwise the layer slips on it.
     """
     kernel = _Kernel(aspect_ratio, poisson_ratio, is_bonded=is_bonded)
     return kernel.integral(np.ones_like)[0]
@@ -66,17 +66,17 @@ def sphere_series(poisson_ratio: float, *, is_bonded: bool = True) -> tuple[floa
 
     It is the force over that of Hertz, at :math:`\chi = \sqrt{R d}/h`. The first term is exact.
     The others are fitted to the integral equation of a paraboloid to 0.5 %, up to a contact whose
-    radius is three times the layer's thickness, where chi is 2. The published series are the same
-    where they hold: of a bonded, incompressible layer 1 + 1.133 chi + 1.497 chi^2 + 1.469 chi^3 +
+    radius is three times the layer's thickness, where chi is 2. The published series agree where
+    they hold: for a bonded, incompressible layer 1 + 1.133 chi + 1.497 chi^2 + 1.469 chi^3 +
     0.755 chi^4 up to chi = 0.5 (Garcia and Garcia, Biophys. J. 114 (2018) 2923). That of
     Dimitriadis et al. (Biophys. J. 82 (2002) 2798) is lower from chi = 0.3 on, by 8 % at 0.5.
 
     Parameters
     ----------
     poisson_ratio : float
-        Poisson's ratio nu [1], 0 to 0.5; of a layer that slips it does not count.
-    is_bonded : bool
-        The base holds the layer; else it slips on it.
+        Poisson's ratio nu [1], 0 to 0.5; without effect on a layer that slips.
+        is_bonded : bool
+            The base holds the layer; otherwise the layer slips on it.
     """
     found = [_of_sphere(contact, poisson_ratio, is_bonded=is_bonded) for contact in _CONTACTS]
     ratios, factors = np.array(found).T
@@ -98,7 +98,7 @@ def _of_sphere(contact: float, poisson_ratio: float, *, is_bonded: bool) -> tupl
 
 
 def _compliance(wave: Array, poisson_ratio: float, *, is_bonded: bool) -> Array:
-    """Return how far the layer sinks under a wave u, over how far a half-space does."""
+    """Return how far the layer sinks under a wave u, relative to a half-space."""
     # Divided by e^(2u) throughout, so that nothing overflows.
     decay, decay2 = np.exp(-2.0 * wave), np.exp(-4.0 * wave)
     if not is_bonded:

@@ -10,8 +10,8 @@ r"""The relaxation of the law and its inverse, the creep, as sums of exponential
         \int_{-\infty}^{\infty} \lambda^{1-\alpha} e^{-\lambda t}\,d\ln\lambda .
 
 The trapezoidal rule in ln lambda converges exponentially: with steps of :data:`SPACING` the error
-is 5e-6 of the relaxation. What is slower than the slowest rate counts as a constant, what is
-faster than the fastest as a weight on the last rate of change, both as geometric sums.
+is 5e-6 of the relaxation. Slower rates than the slowest count as a constant, faster ones than the
+fastest as a weight on the last rate of change, both as geometric sums.
 
 The moments :math:`\int e^{-\lambda (t - s)} f(s)\,ds` of a stress hold its whole past in one
 number a rate, whatever the order. With f linear over a step h and :math:`y = \lambda h` they are
@@ -42,7 +42,7 @@ RATES.flags.writeable = False
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
 #: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
 LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
-#: Shortest step between samples [s]: shorter ones tell nothing by these rates.
+#: Shortest step between samples [s]: these rates do not resolve a shorter one.
 SHORTEST_STEP = 1e-5
 #: Below this value of rate times step, m_2 is taken from its series.
 _SERIES_LIMIT = 1e-4
@@ -130,7 +130,7 @@ def memory_weights(order: float) -> Array:
     """Return the weights of moments and present stress in D^-alpha, shape (RATE_COUNT + 1,)."""
     order = max(order, LOWEST_ORDER)
     factor = SPACING * math.sin(math.pi * order) / math.pi
-    # What decays faster than the fastest follows the stress.
+    # Rates faster than the fastest follow the stress.
     fast = factor * RATES[-1] ** -order / math.expm1(SPACING * order)
     return np.append(creep_weights(order), fast)
 
@@ -143,7 +143,7 @@ def memory_slopes(order: float) -> Array:
 def passed(
     step: float | Array, before: float | Array, after: float | Array
 ) -> tuple[Array, Array]:
-    """Return by what moments decay in steps [s], and what stresses [Pa] along lines add to them.
+    """Return the decay of moments over steps [s], and the gain from linear stresses [Pa].
 
     Parameters
     ----------
@@ -160,14 +160,14 @@ def passed(
 
 
 class StressMoments:
-    """Exponential moments of a measured stress: all that the tissue's future remembers of it."""
+    """Exponential moments of a measured stress: all of it that the tissue's future depends on."""
 
     def __init__(self) -> None:
         #: int exp(-lambda (t - s)) f(s) ds [Pa s], shape (RATE_COUNT,).
         self.values: Array = np.zeros(RATE_COUNT)
 
     def add(self, step: float, before: float, after: float) -> None:
-        """Take a stress [Pa] that goes along a line in `step` seconds."""
+        """Add a stress [Pa] that is linear over `step` seconds."""
         decay, gain = passed(step, before, after)
         self.values = decay * self.values + gain
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stress that a place of the tissue has borne, and what its free surface makes of it."""
+"""The stress history of a place of the tissue, and the free surface that follows from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.law.relaxation import RATE_COUNT, RATES, memory_weights, passed
 
-#: The stress falls to 0 within 1 ms [s] where nothing is seen of its end.
+#: The stress falls to 0 within 1 ms [s] where its end was not observed.
 _LETTING_GO = 1e-3
 
 
@@ -36,7 +36,7 @@ class StressMemory:
         self._sum: Array = np.zeros(RATE_COUNT + 1)
 
     def press(self, step: float, stress: float) -> None:
-        """Take a stress [Pa] `step` seconds after the last."""
+        """Add a stress [Pa] `step` seconds after the last."""
         self._waiting.append((step, stress))
 
     def rest(self, duration: float) -> None:
@@ -48,7 +48,7 @@ class StressMemory:
         self._stress = 0.0
 
     def begin_block(self) -> None:
-        """Let the next means be those of what comes now."""
+        """Begin new means with the next sample."""
         self.means(1)
 
     def means(self, size: int) -> Array:
@@ -70,7 +70,7 @@ class StressMemory:
         return float(memory_weights(order)[:RATE_COUNT] @ (decay * self._moments + gain))
 
     def _catch_up(self) -> None:
-        """Take the samples that wait: together their decays cost a third of what each would."""
+        """Add the samples that wait: together their decays cost a third of what each would."""
         if not self._waiting:
             return
         steps, stresses = np.array(self._waiting).T

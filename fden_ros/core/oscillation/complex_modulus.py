@@ -16,8 +16,8 @@ where the polynomial takes up mean, relaxation and slow motion. With the phasors
 Gpp2). With several frequencies the slope of :math:`\ln|G^*|` over :math:`\ln\omega` is alpha a
 second time. Beyond 1/Gn this G is the tangent :math:`\varphi'(x_0)`.
 
-Only sums over the window are kept, so a sample costs constant time and memory. The deviations take
-the residuals as white.
+Only sums over the window are kept: a sample costs constant time and memory. The deviations assume
+white residuals.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Coefficients of the trend: a parabola takes up the relaxation of a hold over a window.
+#: Coefficients of the trend: a parabola absorbs the relaxation of a hold over a window.
 _TREND = 3
-#: Least amplitude of strain [1] at which there is a dither at all.
+#: Least amplitude of strain [1] that counts as a dither.
 LEAST_AMPLITUDE = 1e-4
-#: Samples in a period: fewer leave the phasor to chance.
+#: Least samples in a period: with fewer the phasor is arbitrary.
 _SAMPLES_PER_PERIOD = 8
 
 
@@ -48,7 +48,7 @@ class ComplexModulus(NamedTuple):
     storage: float  #: G' [Pa]
     loss: float  #: G'' [Pa]
     sd: float  #: standard deviation of G' and of G'' each [Pa]
-    distortion: float  #: what sines and trend leave of the stress, RMS over the sines' RMS [1]
+    distortion: float  #: RMS of the stress's residual over the RMS of the sines [1]
     slope: float | None = None  #: of ln|G*| over ln omega in this window [1]; None: one frequency
     slope_sd: float | None = None  #: its standard deviation [1]
 
@@ -79,7 +79,7 @@ class ComplexModulusMeter:
     periods : int
         Length of a window in periods of the lowest frequency.
     least_amplitude : float
-        Least amplitude of strain [1] at which there is a dither at all.
+        Least amplitude of strain [1] that counts as a dither.
     """
 
     def __init__(

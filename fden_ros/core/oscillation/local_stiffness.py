@@ -20,17 +20,17 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Part of its weight that a window keeps when the next one comes, a model each: memories of
+#: Part of its weight that a window keeps when the next one comes, one per model: memories of
 #: 33, 6, 2.5 windows, and of the newest alone. The same of the scatter and of the evidence.
 _DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
 _SCATTER_DISCOUNT, _EVIDENCE_DISCOUNT = 0.95, 0.85
 #: Least weight of a model.
 _LEAST_WEIGHT = 0.005
-#: Degrees of freedom with which the scatter of the first window is believed, multiple of its white
-#: noise that is expected, and least for a standard deviation, after four windows.
+#: Degrees of freedom of the prior of the scatter, its expected multiple of the white noise, and
+#: the least degrees of freedom for a standard deviation, after four windows.
 _FIRST_FREEDOM, _COLOUR, _LEAST_FREEDOM = 1.0, 3.0, 3.5
-#: A window enters the scatter as at most this normalised square beyond that of the model that it
-#: fits best: an edge that is crossed is no noise for all time.
+#: A window enters the scatter as at most this normalised square beyond that of its best model:
+#: crossing an edge must not count as noise forever.
 _MOST_SQUARE = 5.0
 
 
@@ -61,7 +61,7 @@ class LocalStiffness:
         self._log_weights = np.zeros(count)
 
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
-        """Take a window: F / X [N/m], |X| [m], and the deviation by white noise alone [N/m]."""
+        """Add a window: F / X [N/m], |X| [m], and the deviation by white noise alone [N/m]."""
         information = amplitude**2
         self.windows += 1
         if self.windows == 1:
@@ -85,7 +85,7 @@ class LocalStiffness:
         self._log_weights -= self._log_weights.max()
         self._precision = precision + information
         self._mean = self._mean + information / self._precision * error
-        # Even the best model may be surprised by the noise of the first windows.
+        # Noise of the first windows may be large even under the best model.
         most = _MOST_SQUARE * squares / freedom + normalized.min(axis=1, keepdims=True)
         self._squares = squares + np.minimum(normalized, most)
         self._freedom = freedom + 1.0

@@ -8,8 +8,8 @@ With :math:`k = K (j\omega)^\alpha` the stiffness for a motion that lasts tau is
 .. math:: k_\tau = |k| \frac{(\omega\tau)^{-\alpha}}{\Gamma(1-\alpha)}, \qquad
    \alpha = \tfrac{2}{\pi} \arg k .
 
-What is stated of the rig counts: a delay turns k, a compliance in series softens it, friction adds
-4/(pi |X|) to its imaginary part. With a larger phase than tissue has nothing is known.
+The rig's stated properties count: a delay turns k, a compliance in series softens it, friction
+adds 4/(pi |X|) to its imaginary part. If the phase is larger than tissue has, nothing is known.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexMod
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
-#: What lies beyond as many standard deviations of a normal is not by chance [1].
+#: A deviation beyond this many standard deviations of a normal is not by chance [1].
 _NO_CHANCE = 5.0
 #: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
-#: alpha by the phase above which it is taken for a lag [1]: published livers have 0.12 to 0.15,
+#: An alpha by the phase above this counts as a lag [1]: published livers have 0.12 to 0.15,
 #: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
 _LARGEST_ORDER, _STATED = 0.35, 2.0
 #: Periods of a window, harmonics fitted with the trend, without which those of a nonlinear
@@ -51,8 +51,8 @@ _PERIODS, _HARMONICS, _CURRENT = 2, (1.0, 2.0), 2.5
 class Palpated(NamedTuple):
     """What palpation shows of a place."""
 
-    stiffness: Stiffness  #: at the palpation's frequency, with what is not known of the rig
-    #: k_tau; None: the phase is none of a relaxation, so that it is not known.
+    stiffness: Stiffness  #: at the palpation's frequency, with the uncertainty of the rig
+    #: k_tau; None: no relaxation has this phase, so k_tau is not known.
     apparent: ApparentStiffness | None
     estimate: Estimate  #: G and Gn in it are the prior
 
@@ -61,7 +61,7 @@ class Measured(NamedTuple):
     """What one window shows."""
 
     modulus: ComplexModulus  #: of the window alone, of force by displacement [N/m]
-    found: Palpated | None  #: of all windows so far; None: no answer of the tissue
+    found: Palpated | None  #: of all windows so far; None: no response of the tissue
 
 
 def palpated(
@@ -72,7 +72,7 @@ def palpated(
     config: EstimatorConfig,
     samples: int,
 ) -> Palpated | None:
-    """Return what a complex stiffness shows for a motion of tau [s]; None: it is not above 0."""
+    """Return the result of a complex stiffness for a motion of tau [s]; None: not above 0."""
     if stiffness.value.real <= _NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
@@ -106,7 +106,7 @@ def palpated(
 def _with_rig(
     stiffness: Stiffness, angular_frequency: float, amplitude: float, uncertainty: Uncertainty
 ) -> Stiffness:
-    """Return a stiffness whose covariance holds what is not known of the rig too."""
+    """Return a stiffness whose covariance includes the uncertainty of the rig."""
     value = stiffness.value
     columns = (
         1j * angular_frequency * value * uncertainty.delay_sd,
@@ -120,7 +120,7 @@ def _with_rig(
 def _estimate(
     order: float, variance: float, config: EstimatorConfig, samples: int, is_tissue: bool
 ) -> Estimate:
-    """Return the prior with the alpha that was found; nothing is known of what is no tissue's."""
+    """Return the prior with the alpha that was found, observable only if `is_tissue`."""
     prior, alpha = config.prior, ParameterSet.FRACTIONAL_ORDER
     covariance: Array = np.diag(prior.deviations**2)
     covariance[2, 2] = variance
@@ -139,7 +139,7 @@ def _estimate(
 
 
 def _sentence(value: complex, angular_frequency: float) -> str:
-    """Return in one line what a complex stiffness is whose phase no relaxation makes."""
+    """Return one line about a complex stiffness whose phase no relaxation has."""
     phase = math.atan2(value.imag, value.real)
     return (
         f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
@@ -169,7 +169,7 @@ class PalpationMeter:
         self._meter: ComplexModulusMeter | None = None
         self._frequency = self._found_time = 0.0
         self._found: Palpated | None = None
-        #: The first phase that no relaxation makes, in one line; None: there was none.
+        #: The first phase that no relaxation has, in one line; None: there was none.
         self.out_of_step: str | None = None
 
     @property
@@ -183,7 +183,7 @@ class PalpationMeter:
             self._meter.reset()
 
     def add(self, time: float, displacement: float, force: float) -> Measured | None:
-        """Take a sample [s, m, N] of a later time; return what a window shows that ended."""
+        """Add a sample [s, m, N] of a later time; return the result of a window that it ends."""
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value
         if frequency is None:
@@ -215,7 +215,7 @@ class PalpationMeter:
         return found
 
     def current(self, time: float) -> Palpated | None:
-        """Return what is known at a time [s]; None where the last window is too long ago."""
+        """Return the result at a time [s]; None where the last window is too long ago."""
         if self._meter is None or time - self._found_time > _CURRENT * self._meter.window:
             return None
         return self._found

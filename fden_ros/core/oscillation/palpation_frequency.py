@@ -11,11 +11,11 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: The displacement is looked at on even steps of 1/32 s, over the last 8 s, twice a second, from
-#: 3 s on.
+#: The displacement is resampled at steps of 1/32 s, over the last 8 s, and analysed twice a
+#: second, from 3 s on.
 _RATE = 32.0
 _MOST, _LEAST, _EVERY = 256, 96, 16
-#: Palpation lies within these [Hz], and has been seen for 3 periods.
+#: Palpation lies within these [Hz], and has lasted for 3 periods.
 _SLOWEST, _FASTEST, _PERIODS = 0.4, 5.0, 3.0
 #: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
 #: of its power in one peak; another frequency is taken when it differs by this share.
@@ -33,9 +33,9 @@ class PalpationFrequency:
         self._time = self._displacement = 0.0
 
     def add(self, time: float, displacement: float) -> None:
-        """Take a sample at a time [s]; times increase."""
+        """Add a sample at a time [s]; times increase."""
         if self._start is None or time - self._time > _MOST / _RATE:
-            # Nothing that is remembered lies within the window before it.
+            # No stored sample lies within the window before it.
             self.value, self._count, self._start = None, 0, time
         while (instant := self._start + self._count / _RATE) <= time:
             share = (instant - self._time) / (time - self._time) if self._count else 1.0

@@ -27,7 +27,7 @@ from fden_ros.core.streams.tool import ToolWeight
 
 @dataclass(frozen=True)
 class FramesConfig:
-    """Which frames count, and what is asked of them.
+    """Which frames are needed, and for what.
 
     Parameters
     ----------
@@ -40,35 +40,35 @@ class FramesConfig:
     force_axis: Vector
     displacement_axis: Vector
     moves_probe: bool = False  #: the displacement is that of `probe` in `base`
-    tool: ToolWeight | None = None  #: its weight is taken off the force
+    tool: ToolWeight | None = None  #: its weight is subtracted from the force
 
 
-#: By the name of a frame, its parent and where it is in it, at all times.
+#: By the name of a static frame, its parent and its place there.
 StaticLinks = dict[str, tuple[str, Transform]]
-#: By the name of a frame that moves, where it is in its parent at an instant.
+#: By the name of a moving frame, its place in its parent at an instant.
 Moving = dict[str, Transform]
 
 
 class Frames:
-    """Where the frames that count are in the base, by the transforms between them.
+    """The places of the needed frames in the base, by the transforms between them.
 
     Parameters
     ----------
     make_join : callable
         Makes what lets forces wait for a link's transforms.
     statics : StaticLinks
-        Those known by now; added to.
+        Those known so far; added to.
     """
 
     def __init__(
         self, config: FramesConfig, make_join: Callable[[], Join], statics: StaticLinks
     ) -> None:
         self._config, self._make_join, self._statics = config, make_join, statics
-        #: By the name of a frame that moves, its parent and what waits for its transforms.
+        #: By the name of a moving frame, its parent and the join that waits for its transforms.
         self._links: dict[str, tuple[str, Join]] = {}
         self._force_frame: str | None = None
-        self.is_known = False  #: whether each frame that counts leads to the base
-        #: The links that count, in order; empty until all are known, and where all are static.
+        self.is_known = False  #: whether each needed frame leads to the base
+        #: The needed links, in order; empty until all are known, and where all are static.
         self._chain: dict[str, Join] = {}
         #: By a frame, its ancestors below the one that it has in common with the base, and the
         #: base's.
@@ -76,7 +76,7 @@ class Frames:
 
     @property
     def joins(self) -> list[Join]:
-        """What forces wait for, in order."""
+        """The joins that forces pass, in order."""
         return list(self._chain.values())
 
     @property
@@ -86,7 +86,7 @@ class Frames:
 
     @property
     def problem(self) -> str:
-        """What is wrong where a frame does not lead to the base, in words; or empty."""
+        """The problem where a frame does not lead to the base, in words; or empty."""
         if self.is_known or self._force_frame is None:
             return ""
         root = self._ancestors(self._config.base)[-1]
@@ -104,7 +104,7 @@ class Frames:
     def add_transform(
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
     ) -> str | None:
-        """Take where a frame is in its parent; return why it is rejected, or None."""
+        """Add the place of a frame in its parent; return why it is rejected, or None."""
         known, is_moving = self._parent_of(child), child in self._links
         if parent == child or known not in (None, parent) or (is_static and is_moving):
             return Reason.OTHER_PARENT
@@ -127,7 +127,7 @@ class Frames:
         return None
 
     def name_force(self, frame: str) -> None:
-        """Take the frame of the forces, empty: the probe's; the first one counts."""
+        """Set the frame of the forces, empty: the probe's; the first one counts."""
         if self._force_frame is None:
             self._force_frame = frame or self._config.probe
             self._resolve()
@@ -166,11 +166,11 @@ class Frames:
     # At an instant
 
     def moving(self, matched: Sequence[Around]) -> Moving:
-        """Return where the frames of the joins are in their parents."""
+        """Return the places of the joins' frames in their parents."""
         return {frame: one.transform for frame, one in zip(self._chain, matched, strict=True)}
 
     def probe(self, moving: Moving) -> Transform:
-        """Return where the probe is in the base."""
+        """Return the place of the probe in the base."""
         return self._in_base(self._config.probe, moving)
 
     def depth(self, probe: Transform) -> float:
@@ -191,7 +191,7 @@ class Frames:
         return net - config.tool.load(turn, rotate(conjugate(turn), config.force_axis))
 
     def _in_base(self, frame: str, moving: Moving) -> Transform:
-        """Return where a frame is in the base."""
+        """Return the place of a frame in the base."""
         own, base = (self._up(chain, moving) for chain in self._chains[frame])
         return base.inverse().then(own)
 

@@ -16,33 +16,34 @@ from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
 _TOLERANCE = 0.01
 #: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
-#: A signal that changes by the same amount in 4 samples in a row is a ramp without noise.
+#: A signal that changes by the same amount in 4 consecutive samples is a ramp without noise.
 _RAMP = 4
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
 _MIN_STEP_NS = 10_000
 #: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
 #: a jump of the clock; by less, a late sample.
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
-#: A step longer than 10 usual ones is far. Of a stream, it waits for the next sample to confirm
-#: it, as one of more than 1 s does: that follows within 1 s, or within 10 times the step.
+#: A step longer than 10 usual ones is far. In a stream it waits for the next sample to confirm
+#: it, as does one of more than 1 s: the next follows within 1 s, or within 10 times the step.
 _FAR_STEPS = 10.0
 #: In a stream with steps above 0.3 s these are 3 usual steps in place of 1 s.
 _SLOW_FAR_STEPS = 3.0
-#: 20 late samples in a row, in order among themselves, are a jump of the clock too.
+#: 20 consecutive late samples, in order among themselves, are also a jump of the clock.
 _LATE_RUN = 20
 #: The means of the step between stamps and of the change between values are over 32 samples, and
-#: are used for tests from so many on.
+#: are used for tests from this number on.
 USUAL_SAMPLES = 32
 #: A value more than 12 mean changes away from its neighbours on both sides is a spike.
 _SPIKE_CHANGES = 12.0
-#: A change, or a step, enters its mean as at most 4 times that: no spike, and no pause, moves it.
+#: A change, or a step, enters its mean as at most 4 times the mean, so that no spike and no pause
+#: moves it.
 _MOST_GROWTH = 4.0
 #: A turn of a frame counts as the motion of a point this far from it [m].
 _LEVER = 0.1
-#: A force that repeats one value is stuck, and dropped until it changes, after 5 samples in a row
-#: and 5 times longer than its longest run before ...
+#: A force that repeats one value is stuck, and dropped until it changes, after 5 consecutive
+#: samples and 5 times its longest run before ...
 _STUCK = 5
-#: ... unless its usual change is less than 4 of the steps in which it comes: such a force stands
+#: ... unless its usual change is less than 4 of its quantisation steps: such a force stands
 #: still between two steps.
 _FINE_STEPS = 4.0
 #: A step between pairs is a gap when it is far, and longer than 20 ms [ns]; the mean step is over
@@ -71,7 +72,7 @@ class Resolution:
         return self._step if self._alike < _RAMP else 0.0
 
     def add(self, value: float) -> None:
-        """Take a value."""
+        """Add a value."""
         if self._is_continuous:
             return
         last, self._last = self._last, value
@@ -95,7 +96,7 @@ class Resolution:
 class UsualStep:
     """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
 
-    The larger of the mean of all steps, which is exponential over so many `samples`, and of the
+    The larger of the mean of all steps, exponential over a number of `samples`, and of the
     shorter one of the last two.
     """
 
@@ -107,7 +108,7 @@ class UsualStep:
         self.count = 0
 
     def add(self, step_ns: float) -> None:
-        """Take a step."""
+        """Add a step."""
         self.count += 1
         mean_ns = self._mean_ns or step_ns
         growth_ns = min(step_ns, _MOST_GROWTH * mean_ns) - mean_ns
@@ -115,7 +116,7 @@ class UsualStep:
         self.add_pause(step_ns)
 
     def add_pause(self, step_ns: float) -> None:
-        """Take a step that may be a pause: two of them in a row are usual, the mean stays."""
+        """Add a step that may be a pause: two consecutive ones are usual, the mean stays."""
         self.value_ns = max(self._mean_ns, min(self._last_ns, step_ns))
         self._last_ns = step_ns
 
@@ -123,9 +124,9 @@ class UsualStep:
 class StreamGuard:
     """Accept a stream's samples in order of their stamps; reject and count the others.
 
-    A stamp more than 0.5 s before or 10 usual steps after its predecessor is held back until the
-    next sample tells a jump of the clock from a stray stamp. Where `is_vector`, values are judged
-    by the distance of the samples' positions, and by their turns.
+    A stamp more than 0.5 s before or 10 usual steps after its predecessor is held back: the next
+    sample distinguishes a jump of the clock from a stray stamp. Where `is_vector`, values are
+    judged by the distance of the samples' positions, and by their turns.
     """
 
     def __init__(
@@ -142,7 +143,7 @@ class StreamGuard:
         self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
-        self.too_large = 0  #: samples that were
+        self.too_large = 0  #: number of those samples
         self.too_close = 0  #: samples within 10 us of the last that are not copies of it
 
     @property
@@ -165,7 +166,7 @@ class StreamGuard:
         self._rejected[f"{self._name}.{reason}"] += 1
 
     def join_epoch(self, epoch: int, start_ns: int) -> None:
-        """Take the following samples to belong to `epoch`, which starts at `start_ns`."""
+        """Assign the following samples to `epoch`, which starts at `start_ns`."""
         self.epoch, self.epoch_start_ns = epoch, start_ns
 
     def accept(
@@ -213,7 +214,7 @@ class StreamGuard:
         if self._newest_ns is None:
             return self._take(sample)
         step = sample.stamp_ns - self._newest_ns
-        # Taken at once, a stray stamp a little ahead would make all that come after it late.
+        # Accepted at once, a stray stamp a little ahead would make all later ones late.
         usual_ns = self._usual.value_ns
         far: float = NANOSECONDS
         if self._usual.count >= USUAL_SAMPLES:
@@ -260,9 +261,9 @@ class StreamGuard:
 
 
 class ValueGuard:
-    """Tell measured values from spikes and from those of a sensor that is stuck.
+    """Separate measured values from spikes and from those of a stuck sensor.
 
-    A signal that stands still is suspicious where it `limits_runs`; a displacement may well. Where
+    A constant signal is suspicious where it `limits_runs`; a displacement may be constant. Where
     it `is_vector`, positions and turns count, not values.
     """
 
@@ -288,8 +289,8 @@ class ValueGuard:
     def judge(self, sample: Sample) -> list[Sample]:
         """Return the samples that are now known to be good.
 
-        A value more than 12 mean changes from the last is held back until the next tells a spike
-        from a step.
+        A value more than 12 mean changes from the last is held back: the next one distinguishes a
+        spike from a step.
         """
         last, held, self._held = self._last, self._held, None
         if last is None or last.epoch != sample.epoch:
@@ -344,7 +345,7 @@ class GapGuard:
         self._usual = UsualStep(_GAP_SAMPLES)
 
     def step(self, stamp_ns: int) -> int:
-        """Take a stamp; return how long the gap before it lasted [ns], 0 without one."""
+        """Add a stamp; return the length of the gap before it [ns], 0 without one."""
         previous_ns, self._newest_ns = self._newest_ns, stamp_ns
         if previous_ns is None:
             return 0

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""One stream waits for another: the samples around each of its stamps, between which to go.
+"""One stream waits for another: the samples around each of its stamps, to interpolate between.
 
 Every decision rests on stamps and on the order of samples within their own stream, never on when
 samples of the two streams arrive relative to each other. So live, replayed and batched data give
@@ -20,8 +20,8 @@ from fden_ros.core.streams.samples import NANOSECONDS, Position, Sample
 
 #: The noise of a stream is measured over its last 256 samples.
 NOISE_SAMPLES = 256
-#: In a slow stream samples up to 2 usual steps of the leading stream apart are interpolated
-#: between, and a sample waits for up to 4 usual steps of its stream.
+#: Samples of a slow stream are interpolated up to 2 usual steps of the leading stream apart, and
+#: a sample waits for up to 4 usual steps of its stream.
 _GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
 #: More samples than the pairs of a window leave behind.
 _MOST_AHEAD = 65_536
@@ -62,7 +62,7 @@ class Around(NamedTuple):
         return Transform(position, slerp(before, after, self.fraction) if is_between else before)
 
 
-#: Of the streams that a sample has been matched with so far, in order.
+#: From the streams that a sample has been matched with so far, in order.
 Matched = tuple[Around, ...]
 
 
@@ -100,9 +100,9 @@ class Join:
         self._unpaired, self._gap = reasons
         self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
-        #: The last samples of the following stream that the pairs so far have left behind. Those
-        #: that wait for yet another stream leave some behind too, which count from when the pair
-        #: is made: what is known at a pair does not depend on how long it waited.
+        #: The last samples of the following stream that the pairs so far have passed. Samples that
+        #: wait for a further stream count from when the pair is made: the data known at a pair do
+        #: not depend on how long it waited.
         self.passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
         self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
         self._behind_since_ns: int | None = None
@@ -113,7 +113,7 @@ class Join:
         return len(self._leading) + len(self._following)
 
     def lead(self, sample: Sample, matched: Matched) -> None:
-        """Take an accepted sample of the leading stream, and what it is matched with already."""
+        """Add an accepted sample of the leading stream, and its matches so far."""
         self._leading.append((sample, matched))
         # Samples that have waited for longer than the window go. If one did so after its clock
         # jumped back, the other's did not jump: that stream is taken to be in the same epoch.
@@ -124,7 +124,7 @@ class Join:
         self._match()
 
     def follow(self, stamp_ns: int, value: float, *more: Any) -> None:
-        """Take a sample of the following stream, if its guard accepts it."""
+        """Add a sample of the following stream, if its guard accepts it."""
         delay_ns, following = self._delay_ns, self._following
         for sample in self.follow_guard.accept(stamp_ns, value, *more):
             if delay_ns:

@@ -68,14 +68,14 @@ def lateral_distance(axis: Position, a: Position, b: Position) -> float:
 
 
 class Sink(Protocol):
-    """Takes samples: a pipeline, or what stands before it.
+    """A receiver of samples: a pipeline, or a stage before it.
 
     A class that inherits from it ignores what it has no method of its own for, but force and
     displacement. Forces are in N, displacements, positions and translations in m.
     """
 
     def add_force(self, stamp_ns: int, force: float) -> None:
-        """Take a force."""
+        """Add a force."""
 
     def add_displacement(
         self,
@@ -85,10 +85,10 @@ class Sink(Protocol):
         load: float = 0.0,
         turn: Quaternion | None = None,
     ) -> None:
-        """Take a displacement, the tool's weight [N]; position and turn where known."""
+        """Add a displacement, the tool's weight [N]; position and turn where known."""
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Take a force, or torque [N m], in a frame that moves."""
+        """Add a force, or torque [N m], in a moving frame."""
         return
 
     def add_transform(
@@ -101,7 +101,7 @@ class Sink(Protocol):
         *,
         is_static: bool,
     ) -> None:
-        """Take where a frame is in its parent, and its rotation."""
+        """Add the place of a frame in its parent, and its rotation."""
         return
 
     def reject(self, stream: str, reason: str) -> None:

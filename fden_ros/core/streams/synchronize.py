@@ -3,8 +3,8 @@
 
 """Streams of stamped samples into pairs: all others interpolated to the stamps of the force.
 
-A force waits for one stream after the other: for the displacements around its stamp, the
-transforms, where they are needed: :class:`~fden_ros.core.streams.join.Join`.
+A force waits for one stream after the other: for the displacements around its stamp, and for the
+transforms where they are needed: :class:`~fden_ros.core.streams.join.Join`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
-#: Variance of what is rounded off, in squares of a step: four times that of a single value,
-#: since it stays over several samples while the probe moves (six in a press at 4 mm/s by an
+#: Variance of the rounding, in squares of a step: four times that of a single value, because the
+#: error persists over several samples while the probe moves (six in a press at 4 mm/s by an
 #: encoder of 50 um at 500 Hz).
 _ROUNDING_VARIANCE = 4.0 / 12.0
 
@@ -34,7 +34,7 @@ class SynchronizeConfig:
     displacement_delay: float = parameter(
         "displacement.delay",
         0.0,
-        "How much later than the force the displacement is stamped for the same instant.",
+        "Time by which the displacement is stamped later than the force of the same instant.",
         "s",
         -10.0,
         10.0,
@@ -42,8 +42,8 @@ class SynchronizeConfig:
     max_gap: float = parameter(
         "synchronize.max_gap",
         0.25,
-        "Displacement samples further apart, and than 2 usual steps of the force, are not "
-        "interpolated between; a longer gap ends a contact.",
+        "Longest gap between displacement samples that is interpolated, or 2 usual steps of the "
+        "force if longer; a longer gap ends a contact.",
         "s",
         1e-4,
         10.0,
@@ -51,7 +51,8 @@ class SynchronizeConfig:
     max_wait: float = parameter(
         "synchronize.max_wait",
         5.0,
-        "How long a sample waits, in stamps, for the other stream; or 4 usual steps of its own.",
+        "Time, by the stamps, that a sample waits for the other stream; or 4 of its own usual "
+        "steps.",
         "s",
         0.01,
         60.0,
@@ -61,7 +62,7 @@ class SynchronizeConfig:
     )
     #: Displacements of larger magnitude are rejected [m].
     displacement_limit: float = 10.0
-    #: A force waits for the transforms around it too, whose stamps lag like the displacement's.
+    #: A force also waits for the transforms around it, whose stamps lag like the displacement's.
     frames: FramesConfig | None = None
     #: The displacement is the probe's along its own axis.
     tool_path: ToolPathConfig | None = None
@@ -77,7 +78,7 @@ class Synchronizer:
     rejected : collections.Counter
         Counts of rejected samples, keyed ``"<stream>.<reason>"``; added to.
     statics : StaticLinks, optional
-        Static transforms that are known by now; added to.
+        Static transforms that are known so far; added to.
     """
 
     def __init__(
@@ -110,7 +111,7 @@ class Synchronizer:
         self._joins: list[Join] = [] if self._moves_probe else [self._displacements]
 
     def _join(self, name: str, unpaired: str, gap: str, *, is_vector: bool = True) -> Join:
-        """Return what lets forces wait for a stream whose stamps lag, such as a moving link's."""
+        """Return the join of forces with a stream whose stamps lag, such as a moving link's."""
         limit = self._config.displacement_limit
         guard = StreamGuard(limit, self._rejected, name, is_vector=is_vector)
         times = self._config.max_gap, self._config.max_wait, self._config.displacement_delay
@@ -118,7 +119,7 @@ class Synchronizer:
 
     @property
     def waiting(self) -> int:
-        """How many samples of all streams are kept for others to come."""
+        """How many samples of all streams wait for others."""
         kept = self.frames.kept if self.frames is not None else 0
         return kept + len(self._held) + self._displacements.waiting
 
@@ -136,14 +137,14 @@ class Synchronizer:
         self._lead(self.force_guard.accept(stamp_ns, force))
 
     def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Add a force [N] or torque [N m] in a frame that moves."""
+        """Add a force [N] or torque [N m] in a moving frame."""
         x, y, z = force
         self._lead(self.force_guard.accept(stamp_ns, x + y + z, force), frame)
 
     def add_transform(
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
     ) -> None:
-        """Add where a frame is in its parent; a static one holds at all times."""
+        """Add the place of a frame in its parent; a static one holds at all times."""
         if self.frames is None:
             return
         problem = self.frames.add_transform(
@@ -181,7 +182,7 @@ class Synchronizer:
                 self.force_guard.reject(Reason.NO_TRANSFORM)
 
     def _release(self, frames: Frames) -> None:
-        """Let the forces go on that were held, once all frames are known."""
+        """Release the held forces, once all frames are known."""
         if not frames.is_known:
             return
         self._joins = [*([] if self._moves_probe else [self._displacements]), *frames.joins]
@@ -224,7 +225,7 @@ class Synchronizer:
 def _noise_of(samples: deque[Sample]) -> float:
     if len(samples) < NOISE_SAMPLES // 8:
         return 0.0
-    import numpy as np  # here alone: what reads recordings uses this room without it
+    import numpy as np  # only here: readers of recordings import this package without numpy
 
     time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
     value = np.array([sample.value for sample in samples])

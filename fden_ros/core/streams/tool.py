@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""The tool: how far it has gone along its own axis, and what its weight adds to the force.
+r"""The tool: its travel along its own axis, and the force by its weight.
 
 A tool of mass m beyond the sensor pulls on it with :math:`m R^T g`, where R is the sensor's
 orientation and g gravity in the frame that R refers to; with the lever c of its centre of mass it
 twists it by :math:`c \times m R^T g`. The part along the force's axis changes as the tool turns,
-and looks like drift or contact if it is not taken off.
+and looks like drift or contact unless it is subtracted.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from fden_ros.core.streams.rotation import (
 
 @dataclass(frozen=True)
 class ToolPathConfig:
-    """Along what a probe advances."""
+    """Axes of the probe's advance."""
 
     axis: Vector  #: unit vector in the probe's frame, out of its tip
-    #: Unit vector into the tissue, perpendicular to its surface; where it is not known, the probe
-    #: is taken to stand upright.
+    #: Unit vector into the tissue, perpendicular to its surface; if it is not known, the probe
+    #: is assumed to stand upright.
     normal: Vector | None = None
 
 
 class ToolPath:
-    """Add up how far the probe has gone along its axis.
+    """Adds up the travel of the probe along its axis.
 
     Steps are projected on the axis of their time, so that a turn far from the origin
     adds nothing.
@@ -50,10 +50,10 @@ class ToolPath:
         self._advance = 0.0
 
     def add(self, probe: Transform) -> tuple[float, float]:
-        """Take the next place of the probe; return depth so far [m] and tilt [rad].
+        """Add the next place of the probe; return depth so far [m] and tilt [rad].
 
-        The depth, from any origin, is along the axis, of that the part along the normal where it
-        is known. The tilt is the angle between the two; 0 where it is not.
+        The depth, from any origin, is along the axis, and of that the part along the normal if it
+        is known. The tilt is the angle between the two, otherwise 0.
         """
         place, axis = probe.translation, rotate(probe.rotation, self._config.axis)
         last, self._last = self._last, (place, axis)
@@ -86,8 +86,8 @@ class ToolWeight:
     mass: float = parameter(
         "tool.mass",
         0.0,
-        "Mass that the force sensor carries, where the tool turns. Its weight is subtracted from "
-        "the force, by the orientation of the displacement's pose or transform.",
+        "Mass that the force sensor carries, for a tool that turns. Its weight is subtracted "
+        "from the force, with the orientation of the displacement's pose or transform.",
         "kg",
         0.0,
         1000.0,
@@ -95,14 +95,14 @@ class ToolWeight:
     centre_of_mass: Vector = parameter(
         "tool.centre_of_mass",
         (0.0, 0.0, 0.0),
-        "Its centre in the sensor's frame; counts for a torque.",
+        "Its centre in the sensor's frame; used only for a torque.",
         "m",
         may_be_zero=True,
     )
     gravity: Vector = parameter(
         "tool.gravity",
         (0.0, 0.0, -9.80665),
-        "Gravity in the frame of the poses, for a sensor that measures what acts on the tool; "
+        "Gravity in the frame of the poses, for a sensor that measures the load on the tool; "
         "otherwise reverse it.",
         "m/s^2",
     )
