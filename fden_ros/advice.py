@@ -42,8 +42,8 @@ MODEL_MISMATCH | the model does not describe this contact: it mispredicts the fo
 TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deep
 ALPHA_PRIOR_CONFLICT | the relaxation contradicts the stated alpha
   | learn alpha from the data (alpha.learn: true), or state that of this tissue
-RIG_PRIOR_CONFLICT | delay, friction or compliance is more than 2.5 standard deviations off what is
-  stated, and the deviations are widened
+RIG_PRIOR_CONFLICT | delay, friction, compliance or play is more than 2.5 standard deviations
+  off what is stated, and the deviations are widened
   | measure the delay with fden configure and state it (displacement.delay), or press a rigid plate
 FORCE_DRIFTED | the force in the air after the contact differs from that before it, and the
   deviations are widened by as much | tare, let the sensor warm up, or state force.drift_sd

@@ -107,6 +107,7 @@ EXACT: dict[str, Any] = {
     "force.drift_sd": 0.0,
     "force.friction_sd": 0.0,
     "displacement.compliance_sd": 0.0,
+    "displacement.backlash_sd": 0.0,
     "displacement.delay_sd": 0.0,
     "geometry.thickness_sd": 0.0,
     "converged.log_gn_sd": 0.05,

@@ -36,6 +36,7 @@ TIME_SCALE = 0.1
 RIGID = {
     "displacement.delay_sd": 0.0,
     "displacement.compliance_sd": 0.0,
+    "displacement.backlash_sd": 0.0,
     "force.friction_sd": 0.0,
     "model_discrepancy.sd": 0.0,
 }

@@ -224,14 +224,20 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
     turned = samples._replace(indentations=np.append(back[:-1:2], back[::-2])[: back.size])
     press = gathered(blocks_of(turned), 0.0, 40)
     law = law_of(press, replace(NOTHING_UNKNOWN, backlash_sd=5e-4))
-    stresses = np.zeros(press.times.size)
-    ((_, whole),) = law.moves(press, stresses)
+    about = Expansion(
+        law.coordinates[0],
+        0.0,
+        np.zeros(law.size),
+        np.zeros((law.size, 3)),
+        np.zeros(press.times.size),
+    )
+    ((_, whole),) = law.moves(press, slice(None), about)
     # It turns twice: the tip is behind by the whole play, and where the drive is again.
     ends = [whole[0], whole.max(), whole[-1]]
     assert ends == pytest.approx([0.0, 5e-4 / GEOMETRY.length, 0.0], abs=1e-12)
     for points in range(1, whole.size, 7):
         tail = press.behind(points, press.middles.size)
-        ((_, own),) = law.moves(tail, stresses[points:])
+        ((_, own),) = law.moves(tail, slice(points, None), about)
         np.testing.assert_array_equal(own, whole[points:])
 
 

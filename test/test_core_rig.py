@@ -50,7 +50,7 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
-@pytest.mark.parametrize("stated", [0.0, 5e-4], ids=["unstated", "stated"])
+@pytest.mark.parametrize("stated", [None, 5e-4], ids=["an arm's", "stated"])
 @pytest.mark.parametrize("play", [3e-4, 6e-4])
 @pytest.mark.parametrize("numbers", counts(1, 8))
 def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good_status(
@@ -59,7 +59,8 @@ def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good
     case = replace(CASES["backlash_50um"], disturbances=Disturbances(backlash_m=play))
     claimed = 0
     for number in range(numbers):
-        (contact,) = trial_of(case, number, {"displacement.backlash_sd": stated}).contacts
+        parameters = {"displacement.backlash_sd": stated} if stated else {}
+        (contact,) = trial_of(case, number, parameters).contacts
         if contact.converged and not contact.flags:
             assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
             claimed += 1

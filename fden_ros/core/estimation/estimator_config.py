@@ -138,7 +138,7 @@ class Uncertainty:
     )
     backlash_sd: float = parameter(
         "displacement.backlash_sd",
-        0.0,
+        0.0001,
         "Standard deviation of the play of the drive, by which the tip lags after the motion "
         "turns; 0: none.",
         "m",

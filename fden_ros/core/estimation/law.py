@@ -275,18 +275,26 @@ class Law:
     def indentations(self, press: Press, at: slice, nodes: Array, about: Expansion) -> Array:
         """Return the indentations of points from the contact point, at nodes, (n, M)."""
         moved: Array = press.indentations[:, None] - nodes[:, -1]
-        moves = self.moves(press, about.stresses[at])
+        moves = self.moves(press, at, about)
         if moves:
             places, columns = zip(*moves, strict=True)
             moved += np.column_stack(columns) @ about.at(np.array(places), nodes)
         return moved
 
-    def moves(self, press: Press, stresses: Array) -> list[tuple[int, Array]]:
+    def moves(self, press: Press, at: slice, about: Expansion) -> list[tuple[int, Array]]:
         """Return the places in a state of what moves points, and their columns."""
         motion = Motion(
-            press.times - press.start, press.indentations, press.speeds, stresses, press.earlier
+            press.times - press.start,
+            press.indentations,
+            press.speeds,
+            about.stresses[at],
+            press.earlier,
         )
-        return [(k, one.column(motion)) for k, (one, _) in enumerate(self.slots, RIG) if one.moves]
+        return [
+            (k, one.column(motion._replace(size=float(about.state[k]))))
+            for k, (one, _) in enumerate(self.slots, RIG)
+            if one.moves
+        ]
 
     def drive(
         self, press: Press, at: slice, nodes: Array, about: Expansion, free: Free | None
@@ -308,7 +316,7 @@ class Law:
         slopes = (slopes + np.abs(lead) * tilted) * by_u[:, 0]
         changes = np.zeros((n, about.state.size))
         changes[:, CURVE] = lead[:, None] * basis
-        for k, column in self.moves(press, about.stresses[at]):
+        for k, column in self.moves(press, at, about):
             changes[:, k] = slopes * column
         if free is None:
             return Drive(psi[:, 1:], lead, changes, slopes)

@@ -33,6 +33,7 @@ class Motion(NamedTuple):
     speeds: Array  #: as far as they are above their noise [1/s]
     stresses: Array  #: by the model [Pa]
     earlier: Array = np.zeros(0)  #: indentations at the points of the press before these [1]
+    size: float = 1.0  #: of the unknown, about which the column is taken [1]
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,11 @@ def _delay(sd: float, motion: Motion) -> Array:
 def _backlash(sd: float, motion: Motion) -> Array:
     # The tip is where the drive is while this pushes, and stays until the play is taken up.
     path = np.concatenate([motion.earlier, motion.indentations])
-    tip, at = np.empty_like(path), float(path[0])
+    tip, at, size = np.empty_like(path), float(path[0]), max(motion.size, 1.0)
     for k, place in enumerate(path.tolist()):
-        at = min(max(at, place), place + sd)
+        at = min(max(at, place), place + size * sd)
         tip[k] = at
-    return (tip - path)[motion.earlier.size :]
+    return (tip - path)[motion.earlier.size :] / size
 
 
 def _friction(sd: float, length: float, motion: Motion) -> Array:
@@ -130,7 +131,8 @@ def rig_of(config: EstimatorConfig, geometry: Geometry, zero_sd: float, drift_sd
         Nuisance("compliance", compliance, partial(_compliance, compliance), True, "compliance",
                  has_tails=True),
         Nuisance("delay", delay, partial(_delay, delay), True, "delay", has_tails=True),
-        Nuisance("backlash", backlash, partial(_backlash, backlash), True, "backlash"),
+        Nuisance("backlash", backlash, partial(_backlash, backlash), True, "backlash",
+                 has_tails=True),
         Nuisance("friction", friction, partial(_friction, friction, length), False, "friction",
                  mean, has_tails=True),
         Nuisance("drift", drift_sd, partial(_drift, drift_sd), False, "drift", is_per_press=True),
