@@ -21,7 +21,5 @@ BENCHMARKS: dict[str, str] = {
     "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
     "robots": "what a real rig adds: breathing, compliance, hum; errors and contacts missed",
     "changes": "inclusions and slides under the probe: how soon they are reported; false ones",
-    "classification": "probabilities that mean what they say, and the unknown",
-    "replay": "speed of replay and of decoding",
     "node": "the node next to a bare relay on real DDS: losses, CPU, latency, memory",
 }

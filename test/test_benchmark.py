@@ -16,14 +16,12 @@ from property_helpers import first
 
 from benchmark import (
     changes,
-    classification,
     harness,
     invariance,
     laws,
     node,
     presses,
     real,
-    replay,
 )
 from benchmark.bound import contact_bounds
 from benchmark.harness import within
@@ -35,7 +33,6 @@ from fden_ros.core.outputs import Flag
 from fden_ros.nodes.backlog import Backlog
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import LinearMove, stress_of_piecewise_linear_strain
-from simulation.scenario import ramp_scenario
 
 DEVIATION = np.array([0.01, 0.01, 0.002])
 
@@ -123,9 +120,7 @@ def small(monkeypatch, tables):
         (laws, "GEOMETRIES", {"sphere": laws.GEOMETRIES["sphere"]}),
         (laws, "_OTHERS", {"kelvin_voigt": laws._OTHERS["kelvin_voigt"]}),
         (invariance, "CHANGES", {"stamps": invariance.CHANGES["stamps shifted"]}),
-        (classification, "_QUICK_CONTACTS", 2),
         (real, "_QUICK_TESTS", 1),
-        (replay, "load_scenario", lambda _: ramp_scenario(rate_hz=100.0)),
     ):
         monkeypatch.setattr(module, name, value)
     return tables
@@ -152,10 +147,6 @@ SMALL = {
     "invariance --contacts 1 --jobs 1": lambda f: (
         f["rigs"]["stamps"]["records"] == 1 and max(f["rigs"]["stamps"]["largest"]) < 1e-3
     ),
-    "classification --quick": lambda f: (
-        f["figures"]["converged"][""][1] == 2 and 0.0 <= f["figures"]["expected"][""] < 0.5
-    ),
-    "replay --quick": lambda f: f["speed"]["palpation at 1 kHz"]["times real time"] > 0.0,
 }
 
 
