@@ -27,7 +27,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from benchmark.score import Share
 from fden_ros.errors import InputError
-from fden_ros.parameters import read_parameter_file
 from fden_ros.progress import progress
 
 Result = TypeVar("Result")
@@ -103,7 +102,6 @@ class Table(NamedTuple):
 
     title: str
     rows: Mapping[str, Mapping[str, Any]]
-    hidden: Sequence[str] = ()  #: columns for JSON alone
 
 
 class Report(NamedTuple):
@@ -135,13 +133,12 @@ def _plain(value: Any) -> Any:
 class Benchmark:
     """The arguments of a benchmark; seeds are fixed, and nothing is printed."""
 
-    #: From arguments: `cases`, `parameters` a mapping, `contacts` a number with `numbers`.
+    #: From arguments: `cases`, `contacts` a number with `numbers`.
     run: Callable[[argparse.Namespace], Report]
     epilog: str  #: of its help
     cases: Mapping[str, Any] = field(default_factory=dict)  #: all of them by name
     quick: Sequence[str] = ()  #: names of those of a quick run
     contacts: tuple[int, int] = (0, 0)  #: usual number, and that of a quick run
-    parameters: bool = False  #: takes a parameter file
     data: bool = False  #: takes a folder of measured tests
     more: Callable[[argparse.ArgumentParser], None] | None = None  #: adds arguments of its own
 
@@ -161,9 +158,6 @@ class Benchmark:
             words = "number of the first of them, which is its seed (default: 0)"
             add("--first", type=int, default=0, metavar="N", help=words)
             add("--jobs", type=int, default=PROCESSES, metavar="N", help="processes")
-        if self.parameters:
-            words = "parameters of the identifier; geometry, messages and prior are its own"
-            add("--parameters", type=Path, metavar="FILE", help=words)
         if self.more is not None:
             self.more(parser)
 
@@ -189,9 +183,6 @@ class Benchmark:
             if args.contacts < 1 or args.jobs < 1 or args.first < 0:
                 raise InputError("--contacts and --jobs must be at least 1, --first not negative")
             args.numbers = range(args.first, args.first + args.contacts)
-        if self.parameters:
-            file = args.parameters
-            args.parameters = dict(read_parameter_file(file).as_dict()) if file else {}
 
 
 def measured(
@@ -289,8 +280,7 @@ def _printed(table: Table) -> Any:
 
     printed = Printed(title=table.title, box=MARKDOWN)
     printed.add_column("", no_wrap=True)
-    every = dict.fromkeys(column for row in table.rows.values() for column in row)
-    columns = [column for column in every if column not in table.hidden]
+    columns = dict.fromkeys(column for row in table.rows.values() for column in row)
     for column in columns:
         printed.add_column(escape(column), justify="right", no_wrap=True)
     for name, row in table.rows.items():

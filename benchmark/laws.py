@@ -4,15 +4,15 @@
 """Tissue that does not obey the law: how often the next force lies in the predicted interval.
 
 Poroelastic and linear solids, other relaxations, other stress-strain curves, and tissue that wears
-from press to press are simulated apart from the identifier. A listener, as in a controller, hears
+from press to press are simulated apart from the identifier. A listener, as in a controller, gets
 the states, and predicts the force of the motion of the next 3 s at five moments of each press:
 three fifths of the way on the ramp, at its end, 0.5 s later, half way through the hold and 3 s
-before its end. What is converged without a warning flag, or told to be of another law, is
+before its end. What is converged without a warning flag, or reported as of another law, is
 predicted and counts: the share of the samples in the 95 % interval, and its half width in percent
 of the peak; the others are refused.
 
-N/m is asked for apart, of laws without relaxation too. Each law is pressed with three probes, on
-two rigs. At each moment of a press what is published, converged or not, is held against the
+N/m is compared apart, for laws without relaxation too. Each law is pressed with three probes, on
+two rigs. At each moment of a press what is published, converged or not, is compared with the
 simulation itself: with a step of a thousandth of the depth and without, after the time scale. What
 is flagged does not count.
 """
@@ -337,12 +337,12 @@ def found_at(press: Press, stress: Stress, parameters: Mapping[str, Any]) -> lis
         if waiting and newest and elapsed(newest[0].stamp_ns) >= waiting[0]:
             waiting.pop(0)
             truth = _truth(press, stress, geometry, elapsed(newest[0].stamp_ns))
-            found.append(_beside(newest[0], truth))
+            found.append(_compared(newest[0], truth))
     pipeline.finish()
     return found
 
 
-def _beside(state: TissueState, truth: float) -> Found:
+def _compared(state: TissueState, truth: float) -> Found:
     one = state.apparent_stiffness
     if one is None:
         return Found(False)
@@ -483,9 +483,9 @@ def goals_of(
         for name, row in rows.items()
     ]
     smooth = total(t.changed for name in _SMOOTH for t in rigid.get(name, ()))
-    goals.append(at_most("smooth laws told as changed", smooth.value, 0.02))
+    goals.append(at_most("smooth laws reported as changed", smooth.value, 0.02))
     itself = total(t.changed for name in ("fden", "fden_three") for t in rigid.get(name, ()))
-    goals.append(at_most("the law itself told as changed", itself.value, 1e-3))
+    goals.append(at_most("the law itself reported as changed", itself.value, 1e-3))
     return goals
 
 

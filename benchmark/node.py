@@ -1,21 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The node beside a bare relay on real DDS: losses, CPU, latency, memory, and where it saturates.
+"""The node next to a bare relay on real DDS: losses, CPU, latency, memory, and where it saturates.
 
-A source publishes force and displacement (sensor-data QoS), a sink hears what comes out, each in a
-process of its own. In between stand, each in a process and a namespace of its own, the *node*, and
+A source publishes force and displacement (sensor-data QoS), a sink receives the results, each in a
+process of its own. Between them run, each in a process and a namespace of its own, the *node*, and
 a *relay*: a plain node with the same inputs that publishes a message of the same size as often,
 and computes nothing, the limit that Python and ROS set. Both wait from the beginning; the source
-speaks to one at a time. They take turns over five rounds, so that what else the machine does meets
-both: the goals are on the median over the rounds.
-
-A controller of 100 Hz in one more process holds a ``TissueFeed`` of each. Of its ticks those count
-that fall into a contact, by the simulation's truth and the source's clock: in the air there are
-estimates too, but nothing depends on their age. A tick is *late* where the stamp of the newest
-estimate that the controller has heard is more than 100 ms before the tick, its own delay included,
-and has a *number* where the feed has a reading. ``--burners`` processes that only compute run
-beside it all.
+publishes to one at a time. They take turns over five rounds, so that other load meets both: the
+goals are on the median over the rounds.
 """
 
 from __future__ import annotations
@@ -24,7 +17,6 @@ import argparse
 import contextlib
 import functools
 import json
-import math
 import os
 import signal
 import struct
@@ -40,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.harness import Benchmark, Goal, Report, Table, at_most
-from benchmark.score import Share
 from fden_ros.commands import live
 from fden_ros.core.arrays import Array
 from fden_ros.errors import InputError
@@ -51,11 +42,10 @@ examples:
   fden benchmark node --quick               two minutes
   fden benchmark node -o results            ten minutes for node and relay each
   fden benchmark node --seconds 60 --rates 2000 7000
-  fden benchmark node --quick --burners 2   on a machine with other work
 
 The figures hold for a machine that does nothing else. CPU in cores, latency in ms from stamp to
-arrival at the sink, memory in MB: medians of the turns. *Told*: of the lost pairs those that the
-process itself counted. *late*, *number*: shares of the controller's ticks in contact.
+arrival at the sink, memory in MB: medians of the turns. *Reported*: of the lost pairs those that
+the process itself counted.
 """
 
 _SECONDS, _QUICK_SECONDS = 600.0, 40.0
@@ -76,8 +66,6 @@ _STAMP = struct.Struct("<iI")
 _BODY = 4
 _CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 _QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
-#: The period of the controller, and the age from which an estimate is late to it [s].
-_TICK, _LATE = 0.01, 0.1
 
 NODE, RELAY = "node", "relay"
 _NAMESPACES = {NODE: "/node", RELAY: "/relay"}
@@ -101,7 +89,6 @@ class _Watched(NamedTuple):
     end_ns: int
     cpu: float  #: cores
     memory_mb: list[float]  #: resident, once a second
-    contacts: list[tuple[int, int]]  #: from touch to release [ns]
 
 
 def _more(parser: argparse.ArgumentParser) -> None:
@@ -111,28 +98,24 @@ def _more(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rates", type=float, nargs="*", default=(2000.0, 4000.0), metavar="HZ", help=words
     )
-    words = "processes that compute beside it all (default: 0)"
-    parser.add_argument("--burners", type=int, default=0, metavar="N", help=words)
 
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; the exit code does not depend on the result."""
-    if args.burners < 0:
-        raise InputError(f"--burners {args.burners} must not be negative")
     seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
     short = _QUICK_SATURATION_SECONDS if args.quick else _SATURATION_SECONDS
     plan = _ROUNDS * [Turn(what, _USUAL_RATE, seconds / _ROUNDS) for what in (NODE, RELAY)]
     plan += [Turn(what, r, short, _COUNTING_PAUSE) for r in args.rates for what in (NODE, RELAY)]
     with progress("measuring", len(plan)) as show:
-        rows = measure(plan, show, burners=args.burners)
+        rows = measure(plan, show)
     load = f"load {os.getloadavg()[0]:.1f} at the end"
-    title = f"{os.cpu_count()} cores, {args.burners} burners, {load}"
+    title = f"{os.cpu_count()} cores, {load}"
     shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
-    return Report(goals_of(rows, is_busy=args.burners > 0), {"turns": Table(title, shown)})
+    return Report(goals_of(rows), {"turns": Table(title, shown)})
 
 
-def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
-    """Compare the node with the relay, on an idle machine or next to burners."""
+def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:
+    """Compare the node with the relay, on an idle machine."""
     node, relay = (rows[_name(what, _USUAL_RATE)] for what in (NODE, RELAY))
 
     def ratio(key: str) -> float:
@@ -140,30 +123,19 @@ def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
 
     later = node["memory"][_MEMORY_FROM:]
     grown = max(later) - later[0] if len(later) > 10 else float("nan")
-    p99, most = np.array(node["p99"]), max(node["max"])
-    if is_busy:
-        above = float(np.median(p99 - 3.0 * np.array(relay["p99"])))
-        latency = [
-            at_most("p99 latency above three times the relay's [ms]", above, 10.0),
-            at_most("largest latency [ms]", most, 300.0),
-        ]
-    else:
-        above = float(np.median(p99 - np.array(relay["p99"])))
-        latency = [
-            at_most("p99 latency above the relay's [ms]", above, 5.0),
-            at_most("largest latency above the relay's [ms]", most - max(relay["max"]), 30.0),
-        ]
+    above = float(np.median(np.array(node["p99"]) - np.array(relay["p99"])))
+    most = max(node["max"]) - max(relay["max"])
     goals = [
         at_most("pairs lost at 1 kHz", float(node["lost"]), 0.0),
         at_most("CPU over relay's", ratio("CPU"), 1.8),
-        *latency,
-        at_most("late ticks [%]", 100.0 * node["late"].value, 0.5 if is_busy else 0.0),
+        at_most("p99 latency above the relay's [ms]", above, 5.0),
+        at_most("largest latency above the relay's [ms]", most, 30.0),
         at_most("memory grown after a minute [MB]", grown, 2.0),
     ]
     for name, row in rows.items():
         if name.startswith(NODE) and row is not node:
-            unsaid = max(row["lost"] - row["told"], 0)
-            goals.append(at_most(f"pairs lost silently, {name}", float(unsaid), 0.0))
+            unreported = max(row["lost"] - row["reported"], 0)
+            goals.append(at_most(f"pairs lost and not reported, {name}", float(unreported), 0.0))
     return goals
 
 
@@ -175,7 +147,7 @@ def _name(what: str, rate: float) -> str:
 
 
 def measure(
-    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None, *, burners: int = 0
+    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None
 ) -> dict[str, dict[str, Any]]:
     """Run source, sink and the processes between them; return the figures of each at each rate."""
     environment = dict(os.environ)
@@ -187,10 +159,6 @@ def measure(
     turns = json.dumps([(_NAMESPACES[t.what], t.rate, t.seconds, t.pause) for t in plan])
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(_process([*me, "sink"], environment))
-        controller = stack.enter_context(_process([*me, "controller"], environment))
-        for _ in range(burners):
-            command = [sys.executable, "-c", "while True: pass"]
-            stack.enter_context(_process(command, environment))
         tested: dict[str, Any] = {}
         for what in dict.fromkeys(turn.what for turn in plan):
             own = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier"]
@@ -207,14 +175,11 @@ def measure(
             _ended(process)
         sink.send_signal(signal.SIGINT)
         heard = json.loads(_ended(sink))
-        controller.send_signal(signal.SIGINT)
-        ticks = json.loads(_ended(controller))
     return {
         _name(what, rate): _row(
             [w for t, w in zip(plan, watched, strict=True) if (t.what, t.rate) == (what, rate)],
             heard["arrivals"][what],
             heard["counts"][what],
-            ticks[what],
         )
         for what, rate in dict.fromkeys((turn.what, turn.rate) for turn in plan)
     }
@@ -231,10 +196,10 @@ def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
         memory.append(_memory_mb(pid))
     cpu = (_cpu_seconds(pid) - before) / (time.monotonic() - begin)
     done = json.loads(sender.stdout.readline())
-    return _Watched(done["sent"], begin_ns, done["end_ns"], cpu, memory, done["contacts"])
+    return _Watched(done["sent"], begin_ns, done["end_ns"], cpu, memory)
 
 
-def _row(turns: Sequence[_Watched], arrived: Any, counts: Any, ticks: Any) -> dict[str, Any]:
+def _row(turns: Sequence[_Watched], arrived: Any, counts: Any) -> dict[str, Any]:
     """Return the figures of the turns of one kind; lists are over the turns, or seconds."""
     before = _counted_at(counts, turns[0].begin_ns)
     after = _counted_at(counts, turns[-1].end_ns + round(0.9e9 * _COUNTING_PAUSE))
@@ -245,14 +210,13 @@ def _row(turns: Sequence[_Watched], arrived: Any, counts: Any, ticks: Any) -> di
     return {
         "sent": sent,
         "lost": max(sent - came.get("pairs", 0) - came.get("rejected", 0), 0),
-        "told": came.get("lost", 0),
+        "reported": came.get("lost", 0),
         "published": sum(latency.size for latency in latencies),
         "CPU": [turn.cpu for turn in turns],
         **{
             name: [float(np.percentile(latency, q)) for latency in latencies]
             for name, q in _QUANTILES.items()
         },
-        **_shares(turns, np.array(ticks, dtype=np.int64).reshape(-1, 3)),
         "memory": [memory for turn in turns for memory in turn.memory_mb],
     }
 
@@ -270,22 +234,6 @@ def _latency_ms(arrivals: NDArray[np.int64], turn: _Watched) -> Array:
     own[1:] &= np.diff(stamps) != 1
     latency: Array = 1e-6 * (arrivals[own, 1] - stamps[own])
     return latency if latency.size else np.array([np.nan])
-
-
-def _shares(turns: Sequence[_Watched], ticks: NDArray[np.int64]) -> dict[str, Share]:
-    """Return the shares of a controller's ticks in contact that were late, and had a number."""
-    times = ticks[:, 0]
-    counted = np.zeros(len(times), dtype=bool)
-    for turn in turns:
-        for touch, release in turn.contacts:
-            begin = max(touch, turn.begin_ns + round(1e9 * _WARM_UP))
-            counted |= (times >= begin) & (times < min(release, turn.end_ns))
-    own = ticks[counted]
-    late = own[:, 0] - own[:, 1] > 1e9 * _LATE
-    return {
-        "late": Share(int(late.sum()), len(own)),
-        "number": Share(int(own[:, 2].sum()), len(own)),
-    }
 
 
 _NODE_ARGUMENTS = f"""
@@ -358,12 +306,6 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
     recording = simulate(ramp_scenario(strain_rate=0.15, max_strain=0.27, hold_s=1.0, seed=1))
     first = round(_USUAL_RATE * _PRESS_FROM)
     streams = [np.roll(s.value, -first) for s in (recording.force, recording.displacement)]
-    start_ns = int(recording.force.stamp_ns[0])
-    pressed = [
-        [1e-9 * (contact[end] - start_ns) for end in ("start_ns", "end_ns")]
-        for contact in recording.truth["contacts"]
-    ]
-    period = len(recording.force.value) / _USUAL_RATE
     values = {rate: [_packed(stream, rate) for stream in streams] for _, rate, *_ in turns}
     wrench, joint = WrenchStamped(), JointState(name=["probe"], position=[0.0])
     wrench.header.frame_id = joint.header.frame_id = "tool"
@@ -386,8 +328,7 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
     time.sleep(_COUNTING_PAUSE)
     for namespace, rate, seconds, pause in turns:
         time.sleep(pause)
-        begin_ns = time.time_ns()
-        print(json.dumps({"begin_ns": begin_ns}), flush=True)
+        print(json.dumps({"begin_ns": time.time_ns()}), flush=True)
         begin, count = time.monotonic(), round(rate * seconds)
         for k in range(count):
             ahead = begin + k / rate - time.monotonic()
@@ -399,12 +340,7 @@ def _source(turns: Sequence[tuple[str, float, float, float]]) -> None:
                 data[_BODY : _BODY + 8] = stamp
                 data[place : place + 8] = own[k % len(own)]
                 publishers[namespace][which].publish(bytes(data))
-        touches = [
-            [begin_ns + round(1e9 * (t - _PRESS_FROM + n * period)) for t in contact]
-            for n in range(math.ceil(seconds / period) + 1)
-            for contact in pressed
-        ]
-        done = {"sent": count, "end_ns": time.time_ns(), "contacts": touches}
+        done = {"sent": count, "end_ns": time.time_ns()}
         print(json.dumps(done), flush=True)
     # Messages in transit, and the last diagnostics.
     time.sleep(_COUNTING_PAUSE)
@@ -466,14 +402,14 @@ def _relay() -> None:
         def on_displacement(message: Any) -> None:
             counts[1] += 1
 
-        def tell() -> None:
+        def report() -> None:
             pairs = KeyValue(key="pairs", value=str(min(counts)))
             status = DiagnosticStatus(name=RELAY, values=[pairs])
             diagnostics.publish(DiagnosticArray(status=[status]))
 
         node.create_subscription(WrenchStamped, "force", on_force, INPUT_QOS)
         node.create_subscription(JointState, "displacement", on_displacement, INPUT_QOS)
-        node.create_timer(1.0, tell)
+        node.create_timer(1.0, report)
 
 
 def _sink() -> None:
@@ -508,42 +444,13 @@ def _sink() -> None:
     print(json.dumps({"arrivals": arrivals, "counts": counts}), flush=True)
 
 
-def _controller() -> None:
-    """Act as a controller: at each tick record the newest estimate, and its use."""
-    from fden_ros.core.outputs import Status, TissueState
-    from fden_ros.tissue_feed import TissueFeed
-
-    newest = dict.fromkeys(_NAMESPACES, 0)
-    ticks: dict[str, list[tuple[int, int, int]]] = {what: [] for what in _NAMESPACES}
-
-    def on_state(what: str, state: TissueState) -> None:
-        if state.status is not Status.STALE:
-            newest[what] = state.stamp_ns
-
-    with _spun("controller") as node:
-        feeds = {
-            what: TissueFeed(
-                node, f"{space}/identifier", on_state=functools.partial(on_state, what)
-            )
-            for what, space in _NAMESPACES.items()
-        }
-
-        def tick() -> None:
-            for what, feed in feeds.items():
-                has_number = int(feed.reading() is not None)
-                ticks[what].append((time.time_ns(), newest[what], has_number))
-
-        node.create_timer(_TICK, tick)
-    print(json.dumps(ticks), flush=True)
-
-
 def main() -> None:
     """Run one of the processes of the benchmark."""
     parser = argparse.ArgumentParser(prog="python -m benchmark.node")
-    parser.add_argument("role", choices=("source", "relay", "sink", "controller"))
+    parser.add_argument("role", choices=("source", "relay", "sink"))
     parser.add_argument("--turns", type=json.loads, default=[])
     args = parser.parse_args()
-    roles = {"relay": _relay, "sink": _sink, "controller": _controller}
+    roles = {"relay": _relay, "sink": _sink}
     roles.get(args.role, lambda: _source(args.turns))()
 
 

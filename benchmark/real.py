@@ -171,16 +171,18 @@ def _goals(rows: dict[str, dict[str, Any]]) -> list[Goal]:
                 for name, value in zip(NAMES, beef["short over whole"], strict=True)
             ),
             at_most("beef: alpha off the hold's own order, rms", beef["alpha off"], 1.5),
-            at_most("beef: told as changed", float(beef["changed"].part), 0.0),
+            at_most("beef: reported as changed", float(beef["changed"].part), 0.0),
             at_least("beef: converged", beef["converged"].value, 0.9),
         ]
     if silicone := rows.get(NOT_TISSUE):
         goals.append(at_least("silicone: in the 95 % interval", silicone["in 95 %"], 0.9))
         is_reported = silicone["mismatch"].part == silicone["mismatch"].whole
         moved = float(np.max(silicone["short over whole"]))
-        words = "silicone: short over whole, the largest, unless told"
+        words = "silicone: short over whole, the largest, unless reported"
         goals.append(at_most(words, 0.0 if is_reported else moved, 1.5))
-        goals.append(at_most("silicone: told as changed", float(silicone["changed"].part), 0.0))
+        goals.append(
+            at_most("silicone: reported as changed", float(silicone["changed"].part), 0.0)
+        )
     return goals
 
 

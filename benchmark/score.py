@@ -90,7 +90,7 @@ class Judged(NamedTuple):
         return is_off(self.error, self.deviation)
 
     @property
-    def is_silent(self) -> bool:
+    def is_undetected(self) -> bool:
         """Whether it is off without a flag."""
         return self.claims and self.is_off
 
@@ -117,8 +117,6 @@ class Outcome:
     contacts: tuple[Judged, ...]  #: By the last summary of each
     claims: Share  #: Of the unflagged CONVERGED states those that are off
     live: Flag  #: All flags of the states
-    held: Array  #: Stated deviations at the end of the first press's hold, shape (3,)
-    stuck: int = 0  #: Samples dropped as stuck
     #: Of the measured slopes of the contacts those whose 95 % interval holds that of the
     #: motion without noise
     measured: Share = _NONE
@@ -128,7 +126,7 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return the figures of some recordings by the heading of their column.
 
     *undetected*: presses whose contact is converged, unflagged and off; *live*: states alike;
-    *error over sd*: root mean square; *in 95 %*: share of the intervals that hold; *told live*:
+    *error over sd*: root mean square; *in 95 %*: share of the intervals that hold; *live alarm*:
     recordings of which any state reports a mismatch or a change; *sd*: median, as stated.
     """
     every = [contact for outcome in outcomes for contact in outcome.contacts]
@@ -137,13 +135,13 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     error = np.array([contact.error for contact in known]).reshape(-1, 3)
     deviation = np.array([contact.deviation for contact in known]).reshape(-1, 3)
     return {
-        "undetected": Share(sum(c.is_silent for c in every), sum(o.presses for o in outcomes)),
+        "undetected": Share(sum(c.is_undetected for c in every), sum(o.presses for o in outcomes)),
         "live": total(outcome.claims for outcome in outcomes),
         "error over sd": rms(error / np.maximum(deviation, 1e-12)),
         "in 95 %": _mean(np.abs(error) <= TWO_SIDED_95 * deviation),
         "changed": share(c.flags & Flag.TISSUE_CHANGED for c in pressed),
         "mismatch": share(c.flags & Flag.MODEL_MISMATCH for c in pressed),
-        "told live": share(outcome.live & ALARMS for outcome in outcomes),
+        "live alarm": share(outcome.live & ALARMS for outcome in outcomes),
         "converged": share(c.converged for c in pressed),
         "unflagged": share(c.claims for c in pressed),
         "no estimate": share(c.estimate is None for c in pressed),

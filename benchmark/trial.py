@@ -100,37 +100,22 @@ def presses_of(recording: Recording) -> list[tuple[float, float]]:
     return presses
 
 
-def outcome_of(
-    recording: Recording, pipeline: Pipeline, outputs: Sequence[Output], held: float = math.nan
-) -> Outcome:
-    """Judge a pipeline's results for a recording.
-
-    Parameters
-    ----------
-    recording, pipeline, outputs
-    held : float
-        From the first touch to the end of its hold [s].
-    """
+def outcome_of(recording: Recording, outputs: Sequence[Output]) -> Outcome:
+    """Judge a pipeline's results for a recording."""
     truth, presses = truth_of(recording), presses_of(recording)
     states = [output for output in outputs if isinstance(output, TissueState)]
     live = Flag.NONE
-    deviations = np.full(3, np.nan)
     claims = []
     for state in states:
         live |= state.flags
-        if state.estimate is None:
-            continue
-        if presses and presses[0][0] < elapsed(state.stamp_ns) <= presses[0][0] + held:
-            deviations = state.estimate.deviations
-        if state.status is Status.CONVERGED and not warns(state.flags):
+        is_claim = state.status is Status.CONVERGED and not warns(state.flags)
+        if state.estimate is not None and is_claim:
             claims.append(judged(state.estimate, truth, True, state.flags).is_off)
     return Outcome(
         presses=len(presses),
         contacts=tuple(_judged(s, truth, presses) for s in last_summaries(outputs).values()),
         claims=share(claims),
         live=live,
-        held=deviations,
-        stuck=pipeline.rejected["force.stuck"] + pipeline.rejected["displacement.stuck"],
     )
 
 

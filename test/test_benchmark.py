@@ -69,13 +69,13 @@ def test_goal_is_met_missed_or_undecided_by_its_interval(value, limits, interval
     assert goal.value is None if math.isnan(value) else goal.value == value
 
 
-def test_error_is_silent_unless_something_tells_of_it():
+def test_error_is_undetected_unless_a_flag_reports_it():
     off = (0.1, 0.0, 0.0)
-    assert judged(off).is_silent
-    assert judged(off, flags=Flag.INPUT_REJECTED).is_silent
-    assert not judged(off, converged=False).is_silent
+    assert judged(off).is_undetected
+    assert judged(off, flags=Flag.INPUT_REJECTED).is_undetected
+    assert not judged(off, converged=False).is_undetected
     for flag in (Flag.MODEL_MISMATCH, Flag.TISSUE_CHANGED, Flag.TOUCH_NOT_OBSERVED, Flag.GAP):
-        assert not judged(off, flags=flag).is_silent
+        assert not judged(off, flags=flag).is_undetected
 
 
 def test_bound_of_a_ramp_below_the_boundary_strain_is_the_analytic_one():
@@ -184,7 +184,7 @@ def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path
 @pytest.mark.parametrize("numbers", first((1,), (0, 1, 2, 3)))
 def test_changes_are_reported_at_slow_rates_too(numbers):
     for change in changes.CHANGES[:2]:
-        delays = [changes.run_trial(("flat_30", change.name), number, {}) for number in numbers]
+        delays = [changes.run_trial(("flat_30", change.name), number) for number in numbers]
         reported = changes.reported_in(delays)["reported"].part
         assert reported >= 0.75 * len(numbers), change.name
 
@@ -228,7 +228,7 @@ def test_a_hold_shows_its_order_whatever_the_curve():
 def test_a_run_through_the_node_measures_all():
     """How much is lost in time is for a quiet machine to say."""
     turns = [node.Turn(node.NODE, 200.0, 3.0), node.Turn(node.RELAY, 200.0, 3.0)]
-    rows = node.measure([*turns, turns[0]], burners=0)
+    rows = node.measure([*turns, turns[0]])
     assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
     for row, count in zip(rows.values(), (2, 1), strict=True):
         assert row["sent"] == 600 * count and 0 <= row["lost"] < row["sent"]
@@ -236,15 +236,10 @@ def test_a_run_through_the_node_measures_all():
         assert len(row["CPU"]) == count and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
         for p50, p99, most in zip(row["p50"], row["p99"], row["max"], strict=True):
             assert 0.0 < p50 <= p99 <= most
-        # Of each press the first 1.5 s.
-        assert 5 * count <= row["late"].whole <= 151 * count
-        assert row["late"].part <= row["late"].whole == row["number"].whole
         assert min(row["memory"]) > 10.0
-    assert rows["relay, 200 Hz"]["number"].part == 0
     usual = {name.replace("200", "1000"): row for name, row in rows.items()}
-    for is_busy in (False, True):
-        names = [goal.name for goal in node.goals_of(usual, is_busy=is_busy)]
-        assert "late ticks [%]" in names and len(set(names)) == len(names)
+    names = [goal.name for goal in node.goals_of(usual)]
+    assert "CPU over relay's" in names and len(set(names)) == len(names)
 
 
 class Read:
