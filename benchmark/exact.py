@@ -45,7 +45,7 @@ EPILOG = """\
 examples:
   fden benchmark exact --quick
   fden benchmark exact --first 3000 --contacts 500 --jobs 2
-  fden benchmark exact --json | jq '.figures.alarms'
+  fden benchmark exact --json | jq '.figures.rows'
 
 Drawn log-uniform: G 20 to 50,000, Gn 1 to 40, noise 3 to 300 Pa, 30 Hz to 1 kHz, holds of 0.1 to
 600 s, strain rates of 0.02 to 1/s; alpha uniform from 0.02 to 0.6; ramps, staircases, ramps with a
@@ -323,13 +323,6 @@ def report_of(found: Sequence[Trial]) -> Report:
     over = [trial.over_bound for trial in found if trial.over_bound is not None]
     if over:
         tables["bound"] = Table("Error over the Cramér-Rao bound", _over_bound(np.array(over)))
-    alarms = {
-        str(trial.contact.number): row
-        for trial in found
-        if (row := _alarm(trial.contact, trial.outcome))
-    }
-    if alarms:
-        tables["alarms"] = Table("Reported falsely, or off and not detected; by number", alarms)
     return Report(goals_of(found, rows), tables)
 
 
@@ -340,21 +333,6 @@ def _over_bound(ratios: Array) -> dict[str, dict[str, Any]]:
         rms, low, high = bootstrapped(np.square(values), np.sqrt)
         rows[name] = {"contacts": len(values), "rms": rms, "95 %": (low, high)}
     return rows
-
-
-def _alarm(contact: Contact, outcome: Outcome) -> dict[str, Any] | None:
-    row = figures_of([outcome])
-    if not (row["undetected"].part or row["live alarm"].part or row["live"].part):
-        return None
-    model = contact.model
-    return {name: row[name] for name in ("undetected", "live", "changed", "mismatch")} | {
-        "rig": contact.rig,
-        "motion": contact.press.kind,
-        "tissue": [model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order],
-        "hold [s]": contact.held_s,
-        "rate [Hz]": contact.rate_hz,
-        "peak over noise": contact.peak_pa / contact.noise_pa,
-    }
 
 
 def goals_of(found: Sequence[Trial], rows: Mapping[str, Mapping[str, Any]]) -> list[Goal]:

@@ -41,7 +41,6 @@ EPILOG = """\
 examples:
   fden benchmark node --quick               two minutes
   fden benchmark node -o results            ten minutes for node and relay each
-  fden benchmark node --seconds 60 --rates 2000 7000
 
 The figures hold for a machine that does nothing else. CPU in cores, latency in ms from stamp to
 arrival at the sink, memory in MB: medians of the turns. *Reported*: of the lost pairs those that
@@ -70,6 +69,8 @@ _QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 NODE, RELAY = "node", "relay"
 _NAMESPACES = {NODE: "/node", RELAY: "/relay"}
 _USUAL_RATE = 1000.0
+#: Where it may saturate, for a short time [Hz].
+_FAST_RATES = (2000.0, 4000.0)
 
 
 class Turn(NamedTuple):
@@ -94,10 +95,6 @@ class _Watched(NamedTuple):
 def _more(parser: argparse.ArgumentParser) -> None:
     words = f"for each at 1 kHz, in {_ROUNDS} turns (default: {_SECONDS:g})"
     parser.add_argument("--seconds", type=float, metavar="S", help=words)
-    words = "where to look for saturation, shortly (default: 2000 4000)"
-    parser.add_argument(
-        "--rates", type=float, nargs="*", default=(2000.0, 4000.0), metavar="HZ", help=words
-    )
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -105,7 +102,7 @@ def run(args: argparse.Namespace) -> Report:
     seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
     short = _QUICK_SATURATION_SECONDS if args.quick else _SATURATION_SECONDS
     plan = _ROUNDS * [Turn(what, _USUAL_RATE, seconds / _ROUNDS) for what in (NODE, RELAY)]
-    plan += [Turn(what, r, short, _COUNTING_PAUSE) for r in args.rates for what in (NODE, RELAY)]
+    plan += [Turn(what, r, short, _COUNTING_PAUSE) for r in _FAST_RATES for what in (NODE, RELAY)]
     with progress("measuring", len(plan)) as show:
         rows = measure(plan, show)
     load = f"load {os.getloadavg()[0]:.1f} at the end"

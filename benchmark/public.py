@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import gzip
 import math
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -95,8 +94,8 @@ def read_presses(
             f"no data: name the folder with the tables, or set {harness.DATA_VARIABLE}"
         )
     found: list[Press] = []
-    for path in sorted((*folder.glob("*.csv"), *folder.glob("*.csv.gz"))):
-        truths = path.with_name(path.name.partition(".")[0] + "_truth.csv")
+    for path in sorted(folder.glob("*.csv")):
+        truths = path.with_name(f"{path.stem}_truth.csv")
         if truths.exists():
             found += _presses_of(path, truths, strains, most)
     if not found:
@@ -108,11 +107,10 @@ def _presses_of(
     path: Path, truths: Path, strains: Sequence[float], most: int | None
 ) -> Iterator[Press]:
     rows: dict[str, list[list[float]]] = defaultdict(list)
-    opened = gzip.open if path.suffix == ".gz" else open
     try:
         with open(truths, encoding="utf-8", newline="") as file:
             known = {row["test"]: row for row in csv.DictReader(file)}
-        with opened(path, "rt", encoding="utf-8", newline="") as file:
+        with open(path, encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
                 rows[row["test"]].append([float(row[name]) for name in COLUMNS])
         names = sorted(rows.keys() & known.keys())

@@ -25,6 +25,7 @@ import numpy as np
 import yaml
 
 from fden_ros.errors import InputError
+from fden_ros.parameters.files import parse_yaml
 from fden_ros.shipped import all_shipped, shipped
 from fden_ros.simulation import FdenModel, FloatArray
 from simulation.contact import Stiffening
@@ -399,20 +400,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """
     path = _scenario_path(name_or_path)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text; a scenario is a YAML file") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        what = getattr(error, "problem", None) or "cannot be parsed"
-        raise InputError(f"{path}{where}: is not valid YAML: {what}") from error
-    try:
+        data = parse_yaml(path.read_text(encoding="utf-8"))
         return scenario_of_mapping({"name": path.stem} | _mapping(data, "scenario"))
+    except OSError as error:
+        reason = f"cannot be read ({error.strerror})"
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        reason = str(error)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = f"is not valid YAML: {' '.join(str(error).split())}"
+    raise InputError(f"{path}: {reason}")
 
 
 def scenario_of_mapping(data: Mapping[str, Any]) -> Scenario:
@@ -483,11 +479,19 @@ def _build(cls: type[T], data: object, where: str) -> T:
 
 def _mapping(data: object, where: str) -> dict[str, Any]:
     if not isinstance(data, Mapping) or not all(isinstance(key, str) for key in data):
-        raise InputError(f"{where}: must be a mapping of keys to values, not {_short(data)}")
+        raise InputError(f"{where}: must be a mapping of keys to values, not {data!r}")
     return dict(data)
 
 
-def _convert(value: object, hint: Any, where: str) -> Any:
+_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a finite number",
+    str: "text",
+}
+
+
+def _convert(value: Any, hint: Any, where: str) -> Any:
     """Return `value` as the type that a field asks for."""
     if hint is Trajectory:
         return _press(value, where)
@@ -495,15 +499,13 @@ def _convert(value: object, hint: Any, where: str) -> Any:
         (hint,) = (option for option in typing.get_args(hint) if option is not type(None))
     if typing.get_origin(hint) is tuple:
         return _convert_list(value, typing.get_args(hint), where)
-    if hint is float:
-        return _number(value, where)
-    if hint not in (bool, int, str):
+    if hint not in _WORDS:
         return _build(hint, value, where.rpartition(": ")[2])
     # A bool is an int, too, but not meant as one.
-    if type(value) is hint:
-        return value
-    words = {bool: "true or false", int: "a whole number", str: "text"}[hint]
-    raise InputError(f"{where} is {_short(value)}; it must be {words}")
+    kinds = (float, int) if hint is float else (hint,)
+    if type(value) not in kinds or (hint is float and not math.isfinite(value)):
+        raise InputError(f"{where} is {value!r}; it must be {_WORDS[hint]}")
+    return hint(value)
 
 
 def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
@@ -511,20 +513,9 @@ def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[An
     if hints[-1] is Ellipsis and isinstance(value, list):
         count, hints = len(value), hints[:1] * len(value)
     if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{where} is {_short(value)}; it must be a list of {count}")
+        raise InputError(f"{where} is {value!r}; it must be a list of {count}")
     names = [f"{where} {index}" for index in range(1, count + 1)]
     return tuple(map(_convert, value, hints, names))
-
-
-def _number(value: Any, where: str) -> float:
-    try:
-        # YAML 1.1 reads 1e-3 (no dot) as text, which nobody means.
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{where} is {_short(value)}; it must be a finite number")
-    return number
 
 
 def _press(value: object, where: str) -> Press:
@@ -534,8 +525,3 @@ def _press(value: object, where: str) -> Press:
         raise InputError(f"{where}: kind is missing; it is one of {_listed(sorted(TRAJECTORIES))}")
     require_choice(f"{where}: kind", kind, TRAJECTORIES)
     return _build(TRAJECTORIES[kind], mapping, f"{where}: {kind}")
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -69,27 +69,26 @@ class SteppedHistory:
         return stress
 
 
-def stepped_contacts(
-    depths: FloatArray,
+def stepped_contacts_of_moves(
+    moves: Sequence[Move],
     model: FdenModel,
     geometry: Geometry,
     disturbances: Disturbances,
     phases: Phases,
-    *,
-    start: float = 0.0,
-    step: float = STEP_S,
     clock: float = 0.0,
 ) -> SteppedHistory:
     """Follow a disturbed probe over fresh tissue at rest and return the contacts it makes.
 
-    `depths` [m] are what the axis reports from `start` [s] on after each `step` [s], negative
-    above the surface at rest, shape (n,). The surface's motion is at `clock` [s] at time 0. Of the
-    disturbances only those of the motion count.
+    The planned strain of consecutive `moves` is negative above the surface at rest, whose motion
+    is at `clock` [s] at time 0. Of the disturbances only those of the motion count.
     """
-    times: FloatArray = start + step * np.arange(depths.size, dtype=np.float64)
+    start, stop = moves[0].start, moves[-1].stop
+    count = max(int(np.ceil((stop - start) / STEP_S - 1e-9)), 1)
+    times: FloatArray = start + STEP_S * np.arange(count + 1, dtype=np.float64)
+    depths = geometry.depth_of_strain(strain_of_moves(moves, times))
     surface = disturbances.surface(times + clock, phases)
     free = with_backlash(depths, disturbances.backlash_m) - surface
-    tissue = Tissue([Column(model)], step)
+    tissue = Tissue([Column(model)], STEP_S)
     strains, stresses = np.empty_like(times), np.zeros_like(times)
     strains[0] = geometry.strain_of_depth(float(free[0]))
     contacts: list[SteppedContact] = []
@@ -103,33 +102,10 @@ def stepped_contacts(
         if touch is not None and (stress == 0.0 or n == times.size - 1):
             largest = float(strains[touch : n + 1].max())
             contacts.append(SteppedContact(float(times[touch]), float(times[n]), largest))
-            if (n - touch) * step >= _SHORTEST_PRESS:
+            if (n - touch) * STEP_S >= _SHORTEST_PRESS:
                 dent += disturbances.plastic_set_m
             touch = None
     return SteppedHistory(tuple(contacts), model, times, strains, stresses)
-
-
-def stepped_contacts_of_moves(
-    moves: Sequence[Move],
-    model: FdenModel,
-    geometry: Geometry,
-    disturbances: Disturbances,
-    phases: Phases,
-    clock: float = 0.0,
-) -> SteppedHistory:
-    """Return the contacts of planned moves, in strain; the rest as :func:`stepped_contacts`."""
-    start, stop = moves[0].start, moves[-1].stop
-    count = max(int(np.ceil((stop - start) / STEP_S - 1e-9)), 1)
-    strain = strain_of_moves(moves, start + STEP_S * np.arange(count + 1, dtype=np.float64))
-    return stepped_contacts(
-        geometry.depth_of_strain(strain),
-        model,
-        geometry,
-        disturbances,
-        phases,
-        start=start,
-        clock=clock,
-    )
 
 
 def strain_of_moves(moves: Sequence[Move], times: FloatArray) -> FloatArray:
