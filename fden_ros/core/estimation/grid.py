@@ -588,8 +588,9 @@ def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expa
     mean = weights @ nodes
     off = nodes - mean
     spread = (off * weights[:, None]).T @ off
-    variances = spread.diagonal().copy()
-    spread += np.diag(np.where(variances > 0.0, 1e-3 * variances, 1.0))
+    # Where one place of a coordinate has nearly all weight, there is no line along it.
+    variances = 1e-3 * spread.diagonal() + (1e-3 * start.box.deviations) ** 2
+    spread += np.diag(np.where(variances > 0.0, variances, 1.0))
     inverse, k = np.linalg.inv(spread), law.kernels
     of_kernel = np.zeros_like(inverse)
     of_kernel[:k, :k] = np.linalg.inv(spread[:k, :k])  # one kernel for all that share these

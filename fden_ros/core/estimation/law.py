@@ -476,8 +476,8 @@ class Plateau(Law):
         return np.array([0.0, rate, *mean[1:]]), np.array([1.5, 1.5, *sds[1:]])
 
     def inside(self, nodes: Array) -> Array:
-        """Return whether there are such nodes."""
-        return np.asarray((nodes[:, 1] > _LOG_RATES[0]) & (nodes[:, 1] < _LOG_RATES[31]))
+        """Return whether there are such nodes: beyond the rates they are as at the last."""
+        return np.ones(len(nodes), dtype=bool)
 
     def weights(self, nodes: Array) -> Array:
         """Return a constant, and an exponential between two rates."""
