@@ -128,16 +128,16 @@ def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on():
 
 
 BROKEN = """
-from fden_ros.core.estimation.posterior_estimator import PosteriorEstimator as Estimator
-real, seen = Estimator.update, []
+from fden_ros.core.estimation import GridEstimator
+real, seen = GridEstimator.add, []
 
-def update(self, block):
+def add(self, *block):
     seen.append(self)
     if self is seen[0] and len(seen) > 20:
         raise ZeroDivisionError("on purpose")
-    return real(self, block)
+    return real(self, *block)
 
-Estimator.update = update
+GridEstimator.add = add
 """
 
 
