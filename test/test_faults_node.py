@@ -7,11 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import random
 import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -21,14 +17,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
-from live_helpers import LIMIT, wait_for
+from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import (
     LOSSLESS,
-    RELIABLE,
     STEP_NS,
     Bench,
     Live,
@@ -36,12 +30,8 @@ from ros_helpers import (
     identifier,
 )
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
-from fden_ros.nodes.identifier import Identifier
-from fden_ros.nodes.running import make_executor
 from fden_ros.ros.messages import to_stamp
-from simulation.simulate import START_NS
 
 GOOD = (
     TissueEstimate.STATUS_NO_CONTACT,
@@ -181,73 +171,6 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
     assert output.count("ZeroDivisionError: on purpose): this site gives no estimate") == 1
 
 
-@row("transitions_in_any_order")
-def test_transitions_in_any_order_from_another_thread_hundreds_of_times(context):
-    """With samples coming in all the while; then the node still does what it should."""
-    node = Identifier(context=context)
-    executor = make_executor(context)
-    executor.add_node(node)
-    feeder = rclpy.create_node("feeder", context=context)
-    forces = feeder.create_publisher(WrenchStamped, "/force", RELIABLE)
-    displacements = feeder.create_publisher(JointState, "/displacement", RELIABLE)
-    stop = threading.Event()
-    errors: list[BaseException] = []
-
-    def spin() -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            while not stop.is_set():
-                executor.spin_once(timeout_sec=0.05)
-
-    def feed() -> None:
-        k = 0
-        while not stop.wait(0.004):
-            k += 1
-            header = WrenchStamped().header
-            header.stamp = to_stamp(START_NS + k * STEP_NS)
-            depth = 1e-3 * abs(math.sin(k * 0.02))
-            force, joint = WrenchStamped(header=header), JointState(header=header)
-            force.wrench.force.z = 60.0 * depth
-            joint.name, joint.position = ["probe"], [depth]
-            displacements.publish(joint)
-            forces.publish(force)
-
-    def change() -> None:
-        generator = random.Random(1)
-        transitions = (
-            node.trigger_configure,
-            node.trigger_activate,
-            node.trigger_deactivate,
-            node.trigger_cleanup,
-        )
-        try:
-            for _ in range(300):
-                transition = generator.choice(transitions)
-                # rcl refuses what does not begin in the present state.
-                with contextlib.suppress(rclpy._rclpy_pybind11.RCLError):
-                    transition()
-        except BaseException as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=target) for target in (spin, feed, change)]
-    for thread in threads:
-        thread.start()
-    threads[2].join(10.0 * LIMIT)
-    finished = not threads[2].is_alive()
-    stop.set()
-    for thread in threads[:2]:
-        thread.join(LIMIT)
-    try:
-        assert finished and not errors
-        label = node._state_machine.current_state[1]
-        assert label in ("unconfigured", "inactive", "active")
-        wait_for(lambda: not any(t.is_alive() for t in threads), "the threads")
-    finally:
-        executor.shutdown()
-        node.finish()
-        node.destroy_node()
-        feeder.destroy_node()
-
-
 @row("wrong_frame")
 def test_another_frame_is_refused_and_counted(live):
     for _ in range(30):
@@ -266,24 +189,6 @@ def test_a_joint_state_without_a_position_is_counted(live):
         live.bench.displacement.publish(message)
     live.wait_for_count("displacement.missing_field", 20)
     live.recovers()
-
-
-@row("bad_values_live")
-def test_values_that_cannot_be_are_counted_and_never_published(live):
-    before = live.count("force.non_finite")
-    for value in (math.nan, math.inf, -math.inf, 1e300) * 5:
-        live.now += STEP_NS
-        live.bench.publish(live.now, value, value)
-    live.wait_for_count("force.non_finite", before + 15)
-    live.wait_for_count("displacement.non_finite", 15)
-    live.recovers()
-
-
-@row("clock_jumps_live")
-def test_stamps_that_jump_far_ahead_and_back_are_followed(live):
-    for jump in (3600, -7200, 10, -2):
-        live.now += jump * 1_000_000_000
-        live.recovers()
 
 
 @row("two_publishers_live")
@@ -324,18 +229,6 @@ def test_a_pause_of_the_topics_is_stale_and_then_over(live):
     live.recovers()
 
 
-@row("services_at_any_time")
-def test_services_called_at_any_time_answer_and_break_nothing(live):
-    answers = []
-    for k in range(30):
-        live.stream(0.1, lambda t: 1e-3 * (1 + t))
-        answers.append(live.bench.call(Trigger, ("reset", "tare")[k % 2]))
-    assert all(answer.message for answer in answers)
-    # What was pressed since the last reset is taken for the air: lift, and all is well.
-    live.stream(3.0)
-    live.recovers()
-
-
 @row("parameters_while_active")
 def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live):
     double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
@@ -351,27 +244,6 @@ def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live):
         request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
         result = live.bench.call(SetParameters, "set_parameters", request).results[0]
         assert not result.successful and result.reason, name
-    live.recovers()
-
-
-@row("publisher_killed")
-def test_a_publisher_that_is_killed_is_noticed_and_another_takes_over(live):
-    source = """
-import rclpy, time
-from geometry_msgs.msg import WrenchStamped
-from rclpy.qos import QoSProfile
-rclpy.init()
-node = rclpy.create_node("killed")
-publisher = node.create_publisher(WrenchStamped, "/force", QoSProfile(depth=10))
-while True:
-    time.sleep(0.05)
-"""
-    process = subprocess.Popen([sys.executable, "-c", source])
-    try:
-        live.wait_for_words("2 publishers")
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
     live.recovers()
 
 

@@ -151,15 +151,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
             request = SetParameters.Request(parameters=[parameter])
             return bool(bench.call(SetParameters, "set_parameters", request).results[0].successful)
 
-        def is_silent() -> bool:
-            # What was on its way may come yet: but then there is a second without a word.
-            for _ in range(10):
-                heard = len(bench.estimates), len(bench.diagnostics)
-                bench.spin_for(1.2)
-                if (len(bench.estimates), len(bench.diagnostics)) == heard:
-                    return True
-            return False
-
         assert bench.state() == "unconfigured"
         assert set_library("/nowhere/tissues.yaml")
         assert not bench.change_state(change.TRANSITION_CONFIGURE)
@@ -168,17 +159,17 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         bench.wait_for(lambda: refusal in bench.diagnostic().get("message", ""), refusal)
         assert bench.diagnostic_level() == DiagnosticStatus.ERROR
         assert set_library("")
-        for is_first in (True, False):
+        for _ in range(2):
             assert bench.change_state(change.TRANSITION_CONFIGURE)
             assert bench.state() == "inactive"
-            for k in range(20):
-                bench.publish(START_NS + k * STEP_NS, 0.0, 0.0)
-            assert not is_first or is_silent()
             assert not set_library("/nowhere/tissues.yaml")
+            heard = len(bench.estimates)
+            bench.publish(START_NS, 0.0, 0.0)
+            bench.spin_for(1.2)
+            assert len(bench.estimates) == heard
             assert bench.change_state(change.TRANSITION_ACTIVATE)
             bench.wait_for(lambda: bench.estimates and bench.diagnostics, "its voice")
             assert bench.change_state(change.TRANSITION_DEACTIVATE)
-            assert not is_first or is_silent()
             assert bench.change_state(change.TRANSITION_CLEANUP)
         assert bench.change_state(change.TRANSITION_UNCONFIGURED_SHUTDOWN)
         assert bench.state() == "finalized"

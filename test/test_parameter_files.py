@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, WrenchStamped
-from live_helpers import LIMIT, wait_for
+from live_helpers import LIMIT
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
@@ -25,7 +25,6 @@ from fden_ros.cli import main
 from fden_ros.nodes import identifier
 from fden_ros.nodes.identifier import Identifier
 from fden_ros.parameters import Parameters, read_parameter_file
-from fden_ros.ros.plain_node import plain_node
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
 NO_KEY = (
@@ -270,11 +269,3 @@ def test_node_listens_to_the_types_that_the_parameters_name(values, force, displ
     with active(context=context, parameter_overrides=overrides) as node:
         types = {one.topic_name: one.msg_type for one in Node.subscriptions.fget(node)}
     assert (types["/force"], types["/displacement"]) == (force, displacement)
-
-
-def test_an_active_node_that_is_destroyed_listens_no_more(context):
-    arguments = ["--ros-args", "-r", "force:=force_of_one"]
-    with plain_node("probe") as (probe, _):
-        with active(context=context, cli_args=arguments):
-            wait_for(lambda: probe.count_subscribers("/force_of_one"), "its subscription")
-        wait_for(lambda: not probe.count_subscribers("/force_of_one"), "its end", timeout=20.0)
