@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 
 from fden_ros.errors import InputError
-from fden_ros.parameters.files import parse_yaml
+from fden_ros.parameters import parse_yaml
 from fden_ros.shipped import all_shipped, shipped
 from fden_ros.simulation import FdenModel, FloatArray
 from simulation.contact import Stiffening

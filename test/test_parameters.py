@@ -39,10 +39,8 @@ from fden_ros.parameters import (
     tool_weight,
 )
 from fden_ros.parameters.table import parameter_named
-from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
-    Dropout,
     ForceSensor,
     Geometry,
     Scenario,
@@ -50,7 +48,7 @@ from simulation.scenario import (
     Tissue,
 )
 from simulation.simulate import EXACT, Recording, simulate
-from simulation.trajectory import Approach, Ramp, RampHold, Sinusoid, Trajectory
+from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
 
 def test_what_is_not_given_takes_its_default():
@@ -249,7 +247,7 @@ def test_a_new_type_of_message_is_one_row(monkeypatch):
     assert samples.heard == [("force", 3.0)]
 
 
-# What each parameter does to what comes out, on recordings of one press or a few
+# What parameters do to what comes out, where no test of what they are for shows it
 
 
 LIVER = Tissue(520.0, 8.4, 0.131)
@@ -280,18 +278,7 @@ def row(step: float, *stiffness: float) -> tuple[Site, ...]:
 RECORDINGS: dict[str, dict[str, Any]] = {
     "plain": {},
     "silent": {"force": ForceSensor(200.0)},
-    "biased": {"force": ForceSensor(200.0, noise_n=2e-4, bias_n=5e-4)},
-    "late": {"displacement": DisplacementSensor(200.0, delay_s=0.02)},
-    "yielding": {"disturbances": Disturbances(compliance_m_per_n=2e-3)},
-    "gap": {"dropouts": (Dropout("displacement", 2.0, 0.15),)},
-    "slow": {
-        "sites": on_liver(Ramp(0.03, 0.12, 1.0)),
-        "force": ForceSensor(200.0, noise_n=5e-4),
-        "approach": replace(APPROACH, start_pause_s=8.0),
-    },
     "dithered": {"sites": on_liver(Sinusoid(0.3, 0.2, 0.01, 2.0, 12, 0.3))},
-    "palpated": {"sites": on_liver(Sinusoid(0.3, 0.2, 0.04, 2.0, 30, 0.3))},
-    "apart": {"sites": row(0.008, 520.0, 520.0), "displacement": POINTS},
     "again": {"sites": row(0.0, 520.0, 520.0)},
     "row": {"sites": row(0.01, *[520.0] * 5, 936.0), "displacement": POINTS},
 }
@@ -322,51 +309,16 @@ class Heard:
         self.rejected = pipeline.rejected
         self.summaries = self._of(ContactSummary)
         self.moduli = self._of(DynamicModulus)
-        #: With an estimate, and those of them in contact.
-        self.states = [state for state in self._of(TissueState) if state.estimate is not None]
-        self.pressing = [state for state in self.states if state.signals is not None]
-        self.in_air = sum(s.status is Status.NO_CONTACT for s in self._of(TissueState))
-        self.converged = sum(state.status is Status.CONVERGED for state in self.states)
+        states = self._of(TissueState)
+        self.pressing = [s for s in states if s.estimate is not None and s.signals is not None]
+        self.in_air = sum(state.status is Status.NO_CONTACT for state in states)
+        self.converged = sum(state.status is Status.CONVERGED for state in states)
+        #: The first estimate in contact, and that of the last summary.
+        self.first = self.pressing[0].estimate if self.pressing else None
+        self.last = self.summaries[-1].estimate if self.summaries else None
 
     def _of(self, kind: type) -> list[Any]:
         return [output for output in self.outputs if isinstance(output, kind)]
-
-    @property
-    def begin(self) -> int:
-        """Stamp of the first estimate."""
-        return int(self.states[0].stamp_ns)
-
-    @property
-    def first(self) -> Any:
-        """The first estimate in contact."""
-        return self.pressing[0].estimate
-
-    @property
-    def summary(self) -> Any:
-        """The last summary."""
-        return self.summaries[-1]
-
-    @property
-    def last(self) -> Any:
-        """The last summary's estimate."""
-        return self.summary.estimate
-
-    @property
-    def stress(self) -> float:
-        """The largest."""
-        return float(self.summary.max_stress)
-
-    @property
-    def sds(self) -> Any:
-        """Standard deviations of ln G, ln Gn and alpha at the end."""
-        return self.last.deviations
-
-    @property
-    def error(self) -> float:
-        """Of ln G at the end; infinite without an estimate."""
-        if self.summary.estimate is None:
-            return math.inf
-        return abs(float(self.summary.estimate.mean[0]) - np.log(520.0))
 
 
 @functools.cache
@@ -390,24 +342,8 @@ def wider(usual: Heard, changed: Heard) -> bool:
     return bool(np.any(after > 1.01 * before))
 
 
-def closer(usual: Heard, changed: Heard) -> bool:
-    return changed.error < usual.error
-
-
 def rejected(reason: str) -> Check:
     return lambda usual, changed: changed.rejected[reason] > 10
-
-
-def one_site(usual: Heard, changed: Heard) -> bool:
-    return [summary.site_id for summary in changed.summaries] == [1, 1]
-
-
-def deeper_by_a_tenth(usual: Heard, changed: Heard) -> bool:
-    return changed.summary.max_strain == near(usual.summary.max_strain + 0.1, abs=0.02)
-
-
-def begins_with(index: int, value: float) -> Check:
-    return lambda a, b: b.first.deviations[index] == near(value, 0.05)
 
 
 RIGID = EXACT | {"converged.log_gn_sd": 0.1}
@@ -418,7 +354,7 @@ def ends_with_alpha(value: float) -> Check:
 
 
 def compared(usual: Heard, changed: Heard) -> list[bool]:
-    return [one.summary.comparison is not None for one in (usual, changed)]
+    return [one.summaries[-1].comparison is not None for one in (usual, changed)]
 
 
 GIVEN = {"alpha.learn": False}
@@ -426,85 +362,53 @@ GIVEN = {"alpha.learn": False}
 #: Recording, other parameters, the value, and what it does to what comes out (usual, changed).
 Effect = tuple[str, dict[str, Any], Any, Check]
 EFFECTS: dict[str, Effect] = {
-    "force.threshold": ("plain", {}, 0.01, lambda a, b: b.begin > a.begin),
     "force.noise": ("plain", RIGID, 6e-4, wider),
     "force.noise_floor": ("silent", RIGID, 1e-3, wider),
-    "force.measure_bias": (
-        "biased",
-        {},
-        False,
-        lambda a, b: b.summary.max_force == near(a.summary.max_force + 5e-4, abs=1e-4),
-    ),
-    "force.drift_sd": ("plain", RIGID, 0.05, wider),
     "force.friction_sd": ("plain", RIGID, 0.005, wider),
     "force.limit": ("plain", {}, 0.01, rejected("force.out_of_range")),
-    "displacement.delay": ("late", RIGID, 0.02, closer),
-    "displacement.compliance": ("yielding", RIGID, 2e-3, closer),
     "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
     "displacement.delay_sd": ("plain", RIGID, 0.01, wider),
-    "displacement.backlash_sd": ("plain", RIGID, 1e-3, wider),
-    "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
-    "model_discrepancy.sd": (
-        "plain",
-        RIGID,
-        0.4,
-        lambda a, b: b.last.model_discrepancy > a.last.model_discrepancy,
-    ),
-    "synchronize.max_gap": (
-        "gap",
-        {},
-        0.1,
-        lambda a, b: a.summary.complete and not b.summaries[0].complete,
-    ),
-    "synchronize.max_wait": (
-        "gap",
-        {"synchronize.max_gap": 0.3},
-        0.05,
-        lambda a, b: b.rejected.total() > a.rejected.total(),
-    ),
-    "geometry.bonded": (
-        "plain",
-        {"geometry.hayes": True},
-        False,
-        lambda a, b: b.stress > a.stress,
-    ),
     "geometry.thickness_sd": (
         "plain",
         RIGID,
         0.2,
-        lambda a, b: b.sds[0] ** 2 == near(a.sds[0] ** 2 + 0.04),
+        lambda a, b: b.last.deviations[0] ** 2 == near(a.last.deviations[0] ** 2 + 0.04),
     ),
-    "origin.source": ("plain", {"origin.displacement": -0.002}, "given", deeper_by_a_tenth),
-    "origin.displacement": ("plain", {"origin.source": "given"}, -0.002, deeper_by_a_tenth),
-    "site.distance": ("apart", {}, 0.02, one_site),
-    "site.timeout": ("again", {}, 60.0, one_site),
-    "site.without_position": ("again", {}, "same", one_site),
-    "alpha.learn": ("plain", {}, False, ends_with_alpha(0.131)),
-    "estimator.kind": ("plain", {}, "ekf", lambda a, b: max(b.sds[:2]) < 0.5 * max(a.sds[:2])),
-    "prior.linear_stiffness": (
+    "origin.source": (
         "plain",
-        {},
-        1000.0,
-        lambda a, b: b.first.linear_stiffness > 1.2 * a.first.linear_stiffness,
+        {"origin.displacement": -0.002},
+        "given",
+        lambda a, b: (
+            b.summaries[-1].max_strain == near(a.summaries[-1].max_strain + 0.1, abs=0.02)
+        ),
     ),
-    "prior.linear_stiffness_log_sd": ("plain", {}, 0.01, lambda a, b: b.sds[0] < 0.021 + 0.01),
+    "site.without_position": (
+        "again",
+        {},
+        "same",
+        lambda a, b: [summary.site_id for summary in b.summaries] == [1, 1],
+    ),
     "prior.nonlinear_stiffness": (
         "plain",
         {},
         5.0,
         lambda a, b: b.first.nonlinear_stiffness == near(5.0, 0.05),
     ),
-    "prior.nonlinear_stiffness_log_sd": ("plain", RIGID, 0.05, begins_with(1, 0.05)),
+    "prior.nonlinear_stiffness_log_sd": (
+        "plain",
+        RIGID,
+        0.05,
+        lambda a, b: b.first.deviations[1] == near(0.05, 0.05),
+    ),
     "prior.alpha": ("plain", GIVEN, 0.2, ends_with_alpha(0.2)),
-    "prior.alpha_sd": ("plain", GIVEN, 0.05, lambda a, b: b.sds[2] == near(0.05, 1e-6)),
+    "prior.alpha_sd": (
+        "plain",
+        GIVEN,
+        0.05,
+        lambda a, b: b.last.deviations[2] == near(0.05, 1e-6),
+    ),
     "converged.log_gn_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
     "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
-    "contact.mode": (
-        "palpated",
-        {},
-        "continuous",
-        lambda a, b: a.summary.max_strain > 0.2 and b.summary.is_of_path,
-    ),
     "dither.frequencies": (
         "dithered",
         {},
