@@ -16,9 +16,6 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 #: At least this number of samples is averaged.
 _LEAST_SAMPLES = 12
-#: It is judged when a slow contact that began in this air would be known: 1 s after the release,
-#: and 0.15 s after the averaging [ns].
-_AVERAGED_BEFORE_NS = 150_000_000
 #: It contradicts the air before the contact beyond this number of stated standard deviations.
 _CONTRADICTION = 5.0
 
@@ -64,9 +61,8 @@ class AirAfter:
         return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Whether the contact is to be judged at a stamp."""
-        due_ns = max(self._release_ns + SLOW_NS, self._end_ns + _AVERAGED_BEFORE_NS)
-        return stamp_ns > due_ns
+        """Whether the contact is to be judged at a stamp: a slow one in this air is then known."""
+        return stamp_ns > (self._behind_ns or self._release_ns) + SLOW_NS
 
     def is_known(self, until_ns: int) -> bool:
         """Whether the averaging had ended by a stamp."""

@@ -98,6 +98,8 @@ _EXPECTED = 8
 #: Fewer than 5 chunks give neither bias nor noise. These are known from 48 samples, or 12 chunks:
 #: with fewer the noise may come out so small that noise looks like a contact.
 MIN_CHUNKS, _MIN_AIR_SAMPLES, _ENOUGH_CHUNKS = 5, 48, 12
+#: The lookback keeps at least twice as many chunks.
+LEAST_SAMPLES = 2 * _ENOUGH_CHUNKS * _CHUNK_SAMPLES
 #: A slow contact is detected within 1 s [ns] of its beginning, so chunks of the newest second do
 #: not count. Bias and noise are measured anew after every 8 chunks.
 SLOW_NS, _AIR_EVERY = NANOSECONDS, 8

@@ -19,7 +19,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import (
+    CHUNK_NS,
     CLEAR_DEVIATIONS,
+    LEAST_SAMPLES,
     MIN_CHUNKS,
     SLOW_NS,
     Baseline,
@@ -31,28 +33,20 @@ from fden_ros.core.contact.air import (
 from fden_ros.core.contact.surface import FIRST_WINDOW, Approach, find_surface
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: Anything this short before the first contact may be a press as well as the air [ns]: a record
-#: that began in a press of 0.1 N took 50 ms of it for the air (test_faults).
-_LEAST_AIR_NS = 100_000_000
 #: A rise of the force is a drift where a contact explains it better than a straight line in time
 #: by less than this chi-squared. A rise that may still grow is observed until 200: the longer it
 #: lasts, the better it shows the surface.
 MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
-#: After 10 consecutive chunks below the bias by more than the threshold the bias has changed.
-_BELOW_CHUNKS = 10
 #: A rise is examined again when it has lasted for a tenth longer, or has fallen by 30 %. It was a
 #: drift when it lasted for 2 chunks, is over, and a slow contact would have been found by then.
 RETRY, _OVER = 0.1, 0.7
-#: Noise counts as coloured from 1.5 times the white noise; the surface is then first searched for
-#: over 1 s.
-_COLOUR, LONG_WINDOW = 1.5, 1.0
-#: From this part of a contact's threshold on, a slow one may have begun: the baseline is frozen.
-_SUSPICION = 0.5
-#: Fewest and most samples of the lookback.
-_LEAST_LOOKBACK, _MOST_LOOKBACK = 72, 40_000
-#: A contact ends when the mean over as many chunks as detected it, at least 2, is below half of
-#: its threshold, ...
-_RELEASE_SHARE, _RELEASE_CHUNKS = 0.5, 2
+#: Noise counts as coloured from 1.5 times the white noise.
+_COLOUR = 1.5
+#: Most samples of the lookback.
+_MOST_LOOKBACK = 40_000
+#: From half of a contact's threshold on, a slow one may have begun: the baseline is frozen. A
+#: contact ends when the mean over as many chunks as detected it, at least 2, is below it, ...
+_LOW, _RELEASE_CHUNKS = 0.5, 2
 #: ... or when the probe is behind the surface by this share of its deepest penetration. A probe
 #: that holds still, within this share, does not leave: the tissue relaxes.
 _RETREAT, _HELD = 0.2, 0.05
@@ -105,8 +99,8 @@ class _Press:
         self.bias, self._surface = onset.bias, onset.displacement
         self._deepest = onset.displacement
         self._clear = max(clear, excess.threshold)
-        self.release_force = _RELEASE_SHARE * self._clear
-        self._low = _RELEASE_SHARE * excess.threshold
+        self.release_force = _LOW * self._clear
+        self._least = _LOW * excess.threshold
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._newest: deque[tuple[Chunk, bool]] = deque()  # with whether the probe held at its end
         self._behind_chunks, self._has_held = 0, False
@@ -118,8 +112,8 @@ class _Press:
         self._deepest = max(self._deepest, pair.displacement)
         if chunk.mean - self.bias > self._clear:
             # However faint its beginning, single chunks have shown the contact now.
-            self._averaged, self._low = _RELEASE_CHUNKS, self.release_force
-        level = self.bias + self._low
+            self._averaged, self._least = _RELEASE_CHUNKS, self.release_force
+        level = self.bias + self._least
         is_low = chunk.mean < level
         is_behind = self._surface - pair.displacement > _RETREAT * (self._deepest - self._surface)
         self._behind_chunks += is_behind
@@ -190,7 +184,7 @@ class ContactDetector:
             self._baseline.resolution.add(pair.force)
         samples.append(pair)
         is_old = self._baseline.is_old
-        while len(samples) > _LEAST_LOOKBACK and is_old(samples[0].stamp_ns, pair.stamp_ns):
+        while len(samples) > LEAST_SAMPLES and is_old(samples[0].stamp_ns, pair.stamp_ns):
             samples.popleft()
         chunk = self._chunks.add(pair)
         if chunk is None:
@@ -222,11 +216,11 @@ class ContactDetector:
             self._end_rise(chunk.end_ns, excess.ratio)
         rise = self._rise
         rise.doubted_chunks += rise.doubted_ns is not None and excess.ratio >= 1.0
-        baseline.is_suspected = not rise.is_doubted and excess.ratio > _SUSPICION
+        baseline.is_suspected = not rise.is_doubted and excess.ratio > _LOW
         baseline.keep(chunk)
         is_below = baseline.is_measured and above < -beyond_noise
         self._below = self._below + 1 if is_below else 0
-        if self._below == _BELOW_CHUNKS:
+        if self._below == 2 * MIN_CHUNKS:
             self._forget_baseline()
         return None
 
@@ -259,7 +253,7 @@ class ContactDetector:
             self._rise = _Rise()
 
     def _forget_baseline(self) -> None:
-        """Measure the baseline anew: the force has stayed below it."""
+        """Measure the baseline anew: the force has stayed below it for 10 chunks."""
         if self._config.measure_bias:
             # The chunks before were a contact, or the force has the wrong sign.
             self.below_baseline += 1
@@ -277,13 +271,14 @@ class ContactDetector:
         force -= baseline.drift * (time - (now_ns - start_ns) * 1e-9)
         displacement = np.array([pair.displacement for pair in pairs])
         displacement -= self._config.series_compliance * force
-        window = FIRST_WINDOW if is_clear else LONG_WINDOW
+        long = SLOW_NS / NANOSECONDS
+        window = FIRST_WINDOW if is_clear else long
         approach = find_surface(time, force, displacement, self._order, 0.0, window)
         noise = baseline.level(bias, white, pairs[approach.first].stamp_ns).noise
         if noise <= _COLOUR * white:
             return approach
         # A slow swing is neither independent from sample to sample nor seen in 0.1 s.
-        return find_surface(time, force, displacement, self._order, noise, LONG_WINDOW)
+        return find_surface(time, force, displacement, self._order, noise, long)
 
     def _begun(self, approach: Approach, noise: float, clear: float, excess: Excess) -> Onset:
         """Begin the contact of an approach; the baseline drops its samples."""
@@ -301,7 +296,9 @@ class ContactDetector:
             if level.slope > 0.0:
                 came &= approach.rises_by_itself(drift, level.noise)
             assert self._began_ns is not None
-            came &= not is_measured or onset_ns - self._began_ns > _LEAST_AIR_NS
+            # Anything shorter may be a press as well as the air: of a record that began in a
+            # press of 0.1 N, 50 ms looked like air.
+            came &= not is_measured or onset_ns - self._began_ns > MIN_CHUNKS * CHUNK_NS
         mass, inertia = approach.inertia()
         if inertia > _INERTIAL * float(approach.force[approach.first :].max()):
             # Inertia hides the touch: the surface was found up to 5 mm too deep.

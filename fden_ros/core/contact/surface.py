@@ -22,6 +22,8 @@ import numpy as np
 from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.contact.air import CHUNK_NS, CLEAR_DEVIATIONS
+from fden_ros.core.streams import NANOSECONDS
 
 #: Growths over the depth at which exponentials are compared with the line: the line bends less
 #: than the first of them, and the steepest is beyond what the noise hides.
@@ -30,10 +32,10 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
-#: A probe has moved by more than this many deviations of the surface, and than this many usual
-#: steps of the displacement: noise alone reaches eight. And for at least this time away from the
-#: surface [s]: chatter is shorter.
-_CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
+#: A probe has moved by more than a clear number of deviations of the surface, and than this many
+#: usual steps of the displacement: noise alone reaches eight. And for at least this time away from
+#: the surface [s]: chatter is shorter.
+_CLEAR_STEPS, _LEAST_AWAY = 10.0, 0.5
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
 #: onset, then 40 about the best: the work is bounded, however many samples a window holds.
 _MAX_BINS, _CANDIDATES = 96, 40
@@ -44,9 +46,10 @@ FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _AIR_SHARE = 0.1, 24, 0.6, 0.
 #: usual second differences, 10 deviations of white noise, and 2 steps of its encoder.
 _ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
 #: The swing of the force while the probe moves is known after 0.2 s of motion at 0.3 of its
-#: present speed, by steps of 20 ms. Before that a rise must last for 0.15 s from a tenth of its
+#: present speed, by steps of a chunk. Before that a rise must last for 0.15 s from a tenth of its
 #: depth on: one half of a vibration of 5 Hz is then over.
-_MOTION_TIME, _MOTION_SHARE, _MOTION_STEP, _LASTING, _SHALLOW = 0.2, 0.3, 0.02, 0.15, 0.1
+_MOTION_TIME, _MOTION_SHARE, _LASTING, _SHALLOW = 0.2, 0.3, 0.15, 0.1
+_MOTION_STEP = CHUNK_NS / NANOSECONDS
 #: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
 #: from a correlation of this many standard deviations on: that of white noise reaches four.
 _AVERAGED, _FOLLOWS = 0.004, 8.0
@@ -192,7 +195,7 @@ def _clear_way(surface_sd: float, displacement: Array) -> float:
     `displacement`: two samples or more, [m], shape (n,).
     """
     step = float(np.median(np.abs(np.diff(displacement))))
-    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
+    return max(CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
 
 
 def _last_way_in(

@@ -5,6 +5,7 @@
 
 from fden_ros.core.streams.frames import FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import (
+    MIN_STEP_NS,
     USUAL_SAMPLES,
     GapGuard,
     Resolution,
@@ -30,6 +31,7 @@ from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
 
 __all__ = [
+    "MIN_STEP_NS",
     "NANOSECONDS",
     "USUAL_SAMPLES",
     "FramesConfig",

@@ -19,15 +19,13 @@ _ROUNDING = 1e-9
 #: A signal that changes by the same amount in 4 consecutive samples is a ramp without noise.
 _RAMP = 4
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
-_MIN_STEP_NS = 10_000
+MIN_STEP_NS = 10_000
 #: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
 #: a jump of the clock; by less, a late sample.
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
-#: A step longer than 10 usual ones is far. In a stream it waits for the next sample to confirm
-#: it, as does one of more than 1 s: the next follows within 1 s, or within 10 times the step.
+#: A step longer than 10 usual ones is far, or than 1 s while these are not known: it waits for the
+#: next sample to confirm it, which follows within 1 s, 10 usual steps, or 10 times the step.
 _FAR_STEPS = 10.0
-#: In a stream with steps above 0.3 s these are 3 usual steps in place of 1 s.
-_SLOW_FAR_STEPS = 3.0
 #: 20 consecutive late samples, in order among themselves, are also a jump of the clock.
 _LATE_RUN = 20
 #: The means of the step between stamps and of the change between values are over 32 samples, and
@@ -46,9 +44,8 @@ _STUCK = 5
 #: ... unless its usual change is less than 4 of its quantisation steps: such a force stands
 #: still between two steps.
 _FINE_STEPS = 4.0
-#: A step between pairs is a gap when it is far, and longer than 20 ms [ns]; the mean step is over
-#: 20 pairs.
-_GAP_NS, _GAP_SAMPLES = 20_000_000, 20
+#: A step between pairs is a gap when it is far, and longer than 20 ms [ns].
+_GAP_NS = 20_000_000
 
 
 def force_at_limit(rejected: Counter[str]) -> int:
@@ -96,12 +93,11 @@ class Resolution:
 class UsualStep:
     """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
 
-    The larger of the mean of all steps, exponential over a number of `samples`, and of the
-    shorter one of the last two.
+    The larger of the mean of all steps, exponential over 32 of them, and of the shorter one of
+    the last two.
     """
 
-    def __init__(self, samples: int) -> None:
-        self._gain = 1.0 / samples
+    def __init__(self) -> None:
         self._last_ns = 0.0
         self._mean_ns = 0.0
         self.value_ns = 0.0  #: 0 before the first step [ns]
@@ -112,7 +108,7 @@ class UsualStep:
         self.count += 1
         mean_ns = self._mean_ns or step_ns
         growth_ns = min(step_ns, _MOST_GROWTH * mean_ns) - mean_ns
-        self._mean_ns = mean_ns + self._gain * growth_ns
+        self._mean_ns = mean_ns + growth_ns / USUAL_SAMPLES
         self.add_pause(step_ns)
 
     def add_pause(self, step_ns: float) -> None:
@@ -139,7 +135,7 @@ class StreamGuard:
         self._newest_epoch = 0
         self._held: Sample | None = None
         self._late_run = self._late_newest_ns = 0
-        self._usual = UsualStep(USUAL_SAMPLES)
+        self._usual = UsualStep()
         self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
         self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
@@ -216,16 +212,14 @@ class StreamGuard:
         step = sample.stamp_ns - self._newest_ns
         # Accepted at once, a stray stamp a little ahead would make all later ones late.
         usual_ns = self._usual.value_ns
-        far: float = NANOSECONDS
-        if self._usual.count >= USUAL_SAMPLES:
-            far = min(_FAR_STEPS * usual_ns, far)
-        far = max(far, _SLOW_FAR_STEPS * usual_ns)
-        if _MIN_STEP_NS <= step <= far:
+        least = NANOSECONDS if self._usual.count < USUAL_SAMPLES else 0.0
+        far = max(_FAR_STEPS * usual_ns, least)
+        if MIN_STEP_NS <= step <= far:
             return self._take(sample)
         if step > far or step < -_BACKWARD_JUMP_NS:
             self._held = sample
             return ()
-        if step > -_MIN_STEP_NS:
+        if step > -MIN_STEP_NS:
             self.reject(Reason.DUPLICATE_STAMP)
             if step > 0:
                 self.too_close += 1
@@ -244,8 +238,8 @@ class StreamGuard:
         assert held is not None and self._newest_ns is not None
         is_ahead = held.stamp_ns > self._newest_ns
         own_ns = _FAR_STEPS * (held.stamp_ns - self._newest_ns) if is_ahead else 0.0
-        far = max(NANOSECONDS, _SLOW_FAR_STEPS * self._usual.value_ns, own_ns)
-        if _MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far and (
+        far = max(NANOSECONDS, _FAR_STEPS * self._usual.value_ns, own_ns)
+        if MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far and (
             is_ahead or sample.stamp_ns < self._newest_ns
         ):
             if is_ahead:
@@ -342,7 +336,7 @@ class GapGuard:
 
     def __init__(self) -> None:
         self._newest_ns: int | None = None
-        self._usual = UsualStep(_GAP_SAMPLES)
+        self._usual = UsualStep()
 
     def step(self, stamp_ns: int) -> int:
         """Add a stamp; return the length of the gap before it [ns], 0 without one."""

@@ -18,13 +18,9 @@ from fden_ros.core.streams.guard import StreamGuard
 from fden_ros.core.streams.rotation import Transform, slerp
 from fden_ros.core.streams.samples import NANOSECONDS, Position, Sample
 
-#: The noise of a stream is measured over its last 256 samples.
-NOISE_SAMPLES = 256
 #: Samples of a slow stream are interpolated up to 2 usual steps of the leading stream apart, and
-#: a sample waits for up to 4 usual steps of its stream.
-_GAP_STEPS, _WINDOW_STEPS = 2.0, 4.0
-#: More samples than the pairs of a window leave behind.
-_MOST_AHEAD = 65_536
+#: a sample waits for up to twice as many of its stream.
+_GAP_STEPS = 2.0
 
 
 class Around(NamedTuple):
@@ -100,11 +96,6 @@ class Join:
         self._unpaired, self._gap = reasons
         self._leading: deque[tuple[Sample, Matched]] = deque()
         self._following: deque[Sample] = deque()
-        #: The last samples of the following stream that the pairs so far have passed. Samples that
-        #: wait for a further stream count from when the pair is made: the data known at a pair do
-        #: not depend on how long it waited.
-        self.passed: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
-        self._ahead: deque[tuple[tuple[int, int], Sample]] = deque(maxlen=_MOST_AHEAD)
         self._behind_since_ns: int | None = None
 
     @property
@@ -134,18 +125,13 @@ class Join:
             while self._has_waited(following[0], sample, self.follow_guard):
                 following.popleft()
 
-    def count_passed(self, key: tuple[int, int]) -> None:
-        """Count what was left behind up to this epoch and stamp, of which a pair is made."""
-        while self._ahead and self._ahead[0][0] <= key:
-            self.passed.append(self._ahead.popleft()[1])
-
     def _match(self) -> None:
         leading, following = self._leading, self._following
         while leading and following:
             lead, matched = leading[0]
             key = lead[:2]
             while len(following) > 1 and following[1][:2] <= key:
-                self._ahead.append((key, following.popleft()))
+                following.popleft()
             before = following[0]
             at = before[:2]
             if at > key:
@@ -192,4 +178,4 @@ class Join:
             return False
         start_ns = oldest.stamp_ns if oldest.epoch == newest.epoch else guard.epoch_start_ns
         waited_ns = newest.stamp_ns - start_ns
-        return waited_ns > self._window_ns and waited_ns > _WINDOW_STEPS * newest.usual_ns
+        return waited_ns > self._window_ns and waited_ns > 2.0 * _GAP_STEPS * newest.usual_ns

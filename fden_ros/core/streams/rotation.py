@@ -15,8 +15,6 @@ Quaternion = tuple[float, float, float, float]
 
 #: A quaternion whose length differs from 1 by more than this was never set, or is damaged.
 _UNIT_TOLERANCE = 0.01
-#: Two rotations whose quaternions' product is closer to 1 than this are interpolated linearly.
-_ALIKE = 1e-9
 
 
 class Transform(NamedTuple):
@@ -105,7 +103,7 @@ def slerp(a: Quaternion, b: Quaternion, fraction: float) -> Quaternion:
     sign = -1.0 if product < 0.0 else 1.0
     product = min(abs(product), 1.0)
     first, second = 1.0 - fraction, fraction
-    if 1.0 - product > _ALIKE:
+    if product < 1.0:
         between = math.acos(product)
         first, second = (math.sin(part * between) / math.sin(between) for part in (first, second))
     x, y, z, w = (first * p + sign * second * q for p, q in zip(a, b, strict=True))

@@ -16,11 +16,13 @@ from dataclasses import dataclass
 from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import StreamGuard
-from fden_ros.core.streams.join import NOISE_SAMPLES, Join, Matched
+from fden_ros.core.streams.join import Join, Matched
 from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
 
+#: The noise of the motion is measured over the last 256 samples.
+_NOISE_SAMPLES = 256
 #: Variance of the rounding, in squares of a step: four times that of a single value, because the
 #: error persists over several samples while the probe moves (six in a press at 4 mm/s by an
 #: encoder of 50 um at 500 Hz).
@@ -99,8 +101,10 @@ class Synchronizer:
         self.displacement_guard = self._displacements.follow_guard
         #: Whether the transforms give the displacement.
         self._moves_probe = frames is not None and frames.moves_probe
-        self._moved: deque[Sample] = deque(maxlen=NOISE_SAMPLES)
-        self._moved_ns = 0
+        #: Samples of the motion that pairs have passed; and those of the newest pair: of its
+        #: stream, the last before it, and the motion there.
+        self._moved: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
+        self._newest: tuple[Sample, Sample] | None = None
         self._held: deque[Sample] = deque()  # forces whose frame is not known
         self.frames: Frames | None = None
         if frames is not None:
@@ -126,11 +130,10 @@ class Synchronizer:
     def path_noise(self) -> float:
         """Return the noise of the motion: variance per sample times the time between [m^2 s].
 
-        From the distances of the last 256 samples of displacement and transforms from the lines
-        between their neighbours, or from the steps in which they come; 0 while there are
-        fewer than 32.
+        From the distances of the last 256 samples from the lines between their neighbours, or
+        from the steps in which they come; 0 while there are fewer than 32.
         """
-        return _noise_of(self._displacements.passed) + _noise_of(self._moved)
+        return _noise_of(self._moved)
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -194,8 +197,6 @@ class Synchronizer:
         if len(matched) < len(self._joins):
             self._joins[len(matched)].lead(force, matched)
             return
-        for join in self._joins:
-            join.count_passed(force[:2])
         self._on_pair(self._pair(force, matched))
 
     def _pair(self, force: Sample, matched: Matched) -> Pair:
@@ -207,23 +208,31 @@ class Synchronizer:
             value = frames.force_along(vector, moving)
         if frames is None or not self._moves_probe:
             around = matched[0]
+            self._pass(around.before, around.before)
             way, tilt = (around.value, 0.0) if path is None else path.add(around.transform)
             if vector is None:
                 value -= around.load
             return Pair(epoch, stamp_ns, value, way, around.position, tilt)
         probe = frames.probe(moving)
         way, tilt = (frames.depth(probe), 0.0) if path is None else path.add(probe)
-        if links and links[-1].before.stamp_ns != self._moved_ns:
-            # One per transform, for its noise.
-            self._moved_ns = links[-1].before.stamp_ns
-            self._moved.append(Sample(epoch, stamp_ns, way))
+        if links:
+            self._pass(links[-1].before, Sample(epoch, stamp_ns, way))
         if path is not None:
             value -= frames.weight(probe)
         return Pair(epoch, stamp_ns, value, way, probe.translation, tilt)
 
+    def _pass(self, before: Sample, moved: Sample) -> None:
+        """Keep one sample of the motion for each of its stream, once a pair comes after it."""
+        last = self._newest
+        if last is not None and last[0][:2] == before[:2]:
+            return
+        if last is not None:
+            self._moved.append(last[1])
+        self._newest = before, moved
+
 
 def _noise_of(samples: deque[Sample]) -> float:
-    if len(samples) < NOISE_SAMPLES // 8:
+    if len(samples) < _NOISE_SAMPLES // 8:
         return 0.0
     import numpy as np  # only here: readers of recordings import this package without numpy
 
