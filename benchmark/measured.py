@@ -70,11 +70,6 @@ class Test:
     thickness: float  #: [m]
 
     @property
-    def specimen(self) -> str:
-        """First word of the name: other places on the same piece share it."""
-        return self.name.split()[0]
-
-    @property
     def kind(self) -> str:
         """Material up to the first underscore: beef for beef_RDG."""
         return self.material.split("_")[0]

@@ -53,25 +53,14 @@ def test_value_is_the_paper_s_two_branches(x, G, Gn):
 
 @steady
 @given(x=strains, G=stiffnesses, Gn=nonlinear_stiffnesses)
-def test_derivatives_are_those_of_the_value(x, G, Gn):
-    response = elastic_response(x, G, Gn)
+def test_slope_is_that_of_the_value(x, G, Gn):
     step = 1e-6
-
-    def central(plus, minus):
-        return (plus.value - minus.value) / (2.0 * step)
-
+    after, before = (elastic_response(x + s, G, Gn).value for s in (step, -step))
     # Central differences err by step^2 f'''/6, below 1e-12 Gn^3 of the value's scale; rounding by
     # 1e-16 / 1e-6. At the boundary the second derivative jumps: step G Gn / 2 more.
     scale = G * math.exp(max(Gn * abs(x) - 1.0, 0.0))
-    by_strain = central(elastic_response(x + step, G, Gn), elastic_response(x - step, G, Gn))
-    assert by_strain == pytest.approx(response.by_strain, abs=1e-4 * scale)
-    up, down = Gn * math.exp(step), Gn * math.exp(-step)
-    by_log_gn = central(elastic_response(x, G, up), elastic_response(x, G, down))
-    assert by_log_gn == pytest.approx(response.by_log_nonlinear_stiffness, abs=1e-4 * scale)
-    by_log_g = central(
-        elastic_response(x, G * math.exp(step), Gn), elastic_response(x, G * math.exp(-step), Gn)
-    )
-    assert by_log_g == pytest.approx(response.value, rel=1e-8, abs=1e-9)
+    by_strain = (after - before) / (2.0 * step)
+    assert by_strain == pytest.approx(elastic_response(x, G, Gn).by_strain, abs=1e-4 * scale)
 
 
 @steady

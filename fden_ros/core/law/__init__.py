@@ -37,13 +37,10 @@ from fden_ros.core.law.relaxation import (
     SHORTEST_STEP,
     SPACING,
     StressMoments,
-    creep_slopes,
     creep_weights,
     left_after,
     memory_weights,
     passed,
-    relaxation_after,
-    relaxation_slopes,
     relaxation_weights,
 )
 from fden_ros.core.law.stress_memory import StressMemory
@@ -68,7 +65,6 @@ __all__ = [
     "StressMoments",
     "TorsionalRheometer",
     "apparent_stiffness_factor",
-    "creep_slopes",
     "creep_weights",
     "elastic_response",
     "elastic_responses",
@@ -82,8 +78,6 @@ __all__ = [
     "memory_weights",
     "passed",
     "phi",
-    "relaxation_after",
-    "relaxation_slopes",
     "relaxation_weights",
     "strain_of_phi",
 ]

@@ -9,10 +9,7 @@ r"""The constitutive law of FDEN: fractional dynamics, exponential nonlinearity.
     \operatorname{sgn}(x)\,(G/G_n)\,e^{G_n |x| - 1} & |x| > 1/G_n \end{cases}
 
 (paper, eqs. 1 and 2 with the symmetric form of eq. partial7). The two branches join with equal
-value and slope at the boundary strain :math:`x_b = 1/G_n`. With :math:`u = \ln G_n`,
-:math:`\partial\varphi/\partial\ln G = \varphi` and
-:math:`\partial\varphi/\partial u = \varphi\,(G_n|x| - 1)` beyond the boundary strain, 0 within:
-one smooth observation, no switching.
+value and slope at the boundary strain :math:`x_b = 1/G_n`: one smooth observation, no switching.
 
 Beyond the exponent :data:`MAX_EXPONENT` every function here continues phi along its tangent. The
 scalar functions serve the filters sample by sample; those on arrays may differ from them in the
@@ -22,6 +19,7 @@ last bits, because numpy's exponential function differs from that of the C libra
 from __future__ import annotations
 
 import math
+import sys
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -33,22 +31,19 @@ Number = TypeVar("Number", float, Array)
 #: Exponent Gn |x| - 1 beyond which phi is continued by its tangent: e^60 is no tissue, and an
 #: overflow would poison the filter.
 MAX_EXPONENT = 60.0
-#: Logarithm beyond which a double overflows, with a margin: such a step of a fit is rejected.
-_LARGEST_LOG = 700.0
 
 
 class ElasticResponse(NamedTuple, Generic[Number]):
-    """phi and its partial derivatives, at one strain or at many."""
+    """phi and its slope, at one strain or at many."""
 
-    value: Number  #: phi(x) [Pa s^alpha]; also its derivative by ln G
-    by_log_nonlinear_stiffness: Number  #: dphi/d(ln Gn) [Pa s^alpha]
+    value: Number  #: phi(x) [Pa s^alpha]
     by_strain: Number  #: dphi/dx [Pa s^alpha]
 
 
 def elastic_response(
     strain: float, linear_stiffness: float, nonlinear_stiffness: float
 ) -> ElasticResponse[float]:
-    """Return phi(x) and its derivatives at one strain.
+    """Return phi(x) and its slope at one strain.
 
     Parameters
     ----------
@@ -61,11 +56,11 @@ def elastic_response(
     """
     excess = nonlinear_stiffness * abs(strain) - 1.0
     if excess <= 0.0:
-        return ElasticResponse(linear_stiffness * strain, 0.0, linear_stiffness)
+        return ElasticResponse(linear_stiffness * strain, linear_stiffness)
     capped = min(excess, MAX_EXPONENT)
     slope = linear_stiffness * math.exp(capped)
     value = math.copysign(slope / nonlinear_stiffness * (1.0 + excess - capped), strain)
-    return ElasticResponse(value, value * excess, slope)
+    return ElasticResponse(value, slope)
 
 
 def phi(
@@ -94,11 +89,11 @@ def phi(
 def elastic_responses(
     strain: Array, linear_stiffness: float, nonlinear_stiffness: float
 ) -> ElasticResponse[Array]:
-    """Return phi(x) and its derivatives at many strains, each of the strains' shape."""
+    """Return phi(x) and its slope at many strains, each of the strains' shape."""
     value = phi(strain, linear_stiffness, nonlinear_stiffness)
     excess = np.maximum(nonlinear_stiffness * np.abs(strain) - 1.0, 0.0)
     slope = linear_stiffness * np.exp(np.minimum(excess, MAX_EXPONENT))
-    return ElasticResponse(value, value * excess, slope)
+    return ElasticResponse(value, slope)
 
 
 def strain_of_phi(values: Array, linear_stiffness: float, nonlinear_stiffness: float) -> Array:
@@ -132,7 +127,9 @@ def log_strain(
     """Return ln x at which ln phi takes given values: the inverse of :func:`log_phi`."""
     excess = log_values - log_linear_stiffness + log_nonlinear_stiffness
     beyond = np.maximum(excess, 0.0)
-    on_tangent = np.expm1(np.clip(beyond - MAX_EXPONENT, 0.0, _LARGEST_LOG))
+    # A step of a fit that would overflow is rejected.
+    largest = math.log(sys.float_info.max)
+    on_tangent = np.expm1(np.clip(beyond - MAX_EXPONENT, 0.0, largest))
     exponent = np.minimum(beyond, MAX_EXPONENT) + on_tangent
     result: Array = np.minimum(excess, 0.0) + np.log1p(exponent) - log_nonlinear_stiffness
     return result

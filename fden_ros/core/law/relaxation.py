@@ -26,11 +26,11 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
+from fden_ros.core.streams import MIN_STEP_NS, NANOSECONDS
 
 #: Exponentials and their distance in ln lambda: half the distance changes a response by
 #: 5e-6 of it.
@@ -38,12 +38,10 @@ RATE_COUNT, SPACING = 32, 0.77
 #: Rates of the exponentials [1/s], shape (RATE_COUNT,): the slowest is the memory of eleven days.
 RATES: Array = 1e-6 * np.exp(SPACING * np.arange(RATE_COUNT))
 RATES.flags.writeable = False
-#: Logarithms of the rates, then of those by which the slower and the faster ones count.
-_LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
 #: Orders alpha that the weights are made for: the lowest is a spring, to 1e-4 over eleven days.
 LOWEST_ORDER, HIGHEST_ORDER = 1e-5, 0.9
 #: Shortest step between samples [s]: these rates do not resolve a shorter one.
-SHORTEST_STEP = 1e-5
+SHORTEST_STEP = MIN_STEP_NS / NANOSECONDS
 #: Below this value of rate times step, m_2 is taken from its series.
 _SERIES_LIMIT = 1e-4
 
@@ -55,16 +53,6 @@ def relaxation_weights(order: float) -> Array:
     # A fast exponential meets a change of phi as its rate times 1 / lambda.
     fast = factor * RATES[-1] ** (order - 1.0) / math.expm1(SPACING * (1.0 - order))
     return np.concatenate([factor * RATES**order, [slow, fast]])
-
-
-def relaxation_slopes(order: float) -> Array:
-    """Return the derivatives of :func:`relaxation_weights` by alpha."""
-    slopes = _LOG_RATES + math.pi / math.tan(math.pi * order)
-    # Those of the geometric sums.
-    slopes[-2] -= SPACING / -math.expm1(-SPACING * order)
-    slopes[-1] += SPACING / -math.expm1(-SPACING * (1.0 - order))
-    slopes *= relaxation_weights(order)
-    return slopes
 
 
 def left_after(times: float | Array) -> Array:
@@ -79,38 +67,6 @@ def left_after(times: float | Array) -> Array:
     return left
 
 
-def relaxation_after(orders: Array, time: float) -> tuple[Array, Array]:
-    """Return what is left of each rate, slower ones last, and its derivatives by alpha.
-
-    Parameters
-    ----------
-    orders : ndarray, shape (n,)
-        They count as within those that the weights are made for.
-    time : float
-        Since a step [s].
-
-    Returns
-    -------
-    parts, slopes : ndarray, shape (n, RATE_COUNT + 1)
-    """
-    order = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)[:, None]
-    turn = math.pi * order
-    logs = _LOG_RATES[:-1]
-    parts = SPACING / math.pi * np.sin(turn) * np.exp(order * logs)
-    by_order = logs + math.pi / np.tan(turn)
-    # The slower rates are a geometric sum.
-    parts[:, -1:] /= np.expm1(SPACING * order)
-    by_order[:, -1:] += SPACING / np.expm1(-SPACING * order)
-    parts *= left_after(time)[: RATE_COUNT + 1]
-    return parts, by_order * parts
-
-
-def _slopes(weights: Callable[[float], Array], order: float) -> Array:
-    step = 1e-6
-    result: Array = (weights(order + step) - weights(order - step)) / (2.0 * step)
-    return result
-
-
 def creep_weights(order: float) -> Array:
     """Return the weights, shape (RATE_COUNT,), that make D^-alpha of the stress of its moments."""
     factor = SPACING * math.sin(math.pi * order) / math.pi
@@ -118,11 +74,6 @@ def creep_weights(order: float) -> Array:
     # The slower ones have not decayed yet: they weigh on the slowest.
     weights[0] += factor * RATES[0] ** (1.0 - order) / math.expm1(SPACING * (1.0 - order))
     return weights
-
-
-def creep_slopes(order: float) -> Array:
-    """Return the derivatives of :func:`creep_weights` by alpha."""
-    return _slopes(creep_weights, order)
 
 
 @functools.lru_cache(maxsize=16)
@@ -133,11 +84,6 @@ def memory_weights(order: float) -> Array:
     # Rates faster than the fastest follow the stress.
     fast = factor * RATES[-1] ** -order / math.expm1(SPACING * order)
     return np.append(creep_weights(order), fast)
-
-
-def memory_slopes(order: float) -> Array:
-    """Return the derivatives of :func:`memory_weights` by alpha."""
-    return _slopes(memory_weights, order)
 
 
 def passed(
