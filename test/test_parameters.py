@@ -404,8 +404,9 @@ EFFECTS: dict[str, Effect] = {
     "prior.alpha_sd": (
         "plain",
         GIVEN,
-        0.05,
-        lambda a, b: b.last.deviations[2] == near(0.05, 1e-6),
+        0.02,
+        # The nodes reach 3 deviations.
+        lambda a, b: b.last.deviations[2] == near(0.02),
     ),
     "converged.log_gn_sd": ("plain", RIGID, 0.001, lambda a, b: b.converged == 0 < a.converged),
     "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
