@@ -19,7 +19,6 @@ from benchmark import (
     harness,
     invariance,
     laws,
-    node,
     presses,
     real,
 )
@@ -223,23 +222,6 @@ def test_a_hold_shows_its_order_whatever_the_curve():
 
 
 # The benchmarks of speed measure what they say; their goals are for a quiet machine
-
-
-def test_a_run_through_the_node_measures_all():
-    """How much is lost in time is for a quiet machine to say."""
-    turns = [node.Turn(node.NODE, 200.0, 3.0), node.Turn(node.RELAY, 200.0, 3.0)]
-    rows = node.measure([*turns, turns[0]])
-    assert list(rows) == ["node, 200 Hz", "relay, 200 Hz"]
-    for row, count in zip(rows.values(), (2, 1), strict=True):
-        assert row["sent"] == 600 * count and 0 <= row["lost"] < row["sent"]
-        assert row["published"] > 0
-        assert len(row["CPU"]) == count and all(0.0 < cpu < 2.0 for cpu in row["CPU"])
-        for p50, p99, most in zip(row["p50"], row["p99"], row["max"], strict=True):
-            assert 0.0 < p50 <= p99 <= most
-        assert min(row["memory"]) > 10.0
-    usual = {name.replace("200", "1000"): row for name, row in rows.items()}
-    names = [goal.name for goal in node.goals_of(usual)]
-    assert "CPU over relay's" in names and len(set(names)) == len(names)
 
 
 class Read:

@@ -198,11 +198,3 @@ def test_a_worker_of_another_version_is_refused_whether_it_is_there_or_comes(tmp
     (line,) = capsys.readouterr().err.splitlines()
     assert f"install fden_ros {__version__}" in line
     assert not other.exists()
-
-
-def test_a_recording_that_a_worker_does_not_see_is_done_again(tmp_path):
-    rows = batch.identify("/nowhere/press.mcap", WORK)
-    assert "does not exist" in rows[0]["error"]
-    results = batch.Results(tmp_path / "results.csv", WORK.digest())
-    results.add(rows)
-    assert not batch.Results(results.path, WORK.digest()).has("/nowhere/press.mcap")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import re
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -43,7 +42,6 @@ from simulation.scenario import (
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
-DATA = os.environ.get("FDEN_DATA")
 CONFIG = Path(__file__).parents[1] / "config"
 PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
 #: A dozen rigs of every kind.
@@ -130,16 +128,6 @@ def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
         assert finding.motion and not finding.claim and not finding.parameters
 
 
-def test_poses_that_are_not_the_sensors_show_no_mass():
-    rig = whole_rig()
-    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    turned = replace(rig.streams, force=rig.streams.force @ quarter)
-    finding = survey([turned]).finding("tool mass")
-    assert not finding.claim and not finding.parameters
-    assert "the sensor's own frame" in finding.evidence
-    assert survey([turned]).finding("delay").claim
-
-
 #: Units of a force, and of each the tissue's stiffness in N/m of a rig from 1 mN to 200 N.
 FORCES = {"N": 1.0, "mN": 1e-3, "g": 9.80665e-3, "kgf": 9.80665, "lbf": 4.44822}
 
@@ -194,17 +182,6 @@ def test_noise_alone_is_no_contact():
     )
     found = survey([streams])
     assert not any(found.finding(f"{what} axis").claim for what in ("force", "displacement"))
-    assert not found.finding("lift-off").claim
-
-
-def test_taps_too_short_for_a_contact_are_none():
-    draw = np.random.default_rng(1)
-    times = np.arange(0.0, 6.0, 1 / 500)
-    depth = np.maximum(0.005 - np.abs(times % 2.0 - 1.0) / 10.0, -0.02)[:, None]
-    force = 5.0 * (np.maximum(depth, 0.0) / 0.005) ** 2 + draw.normal(0.0, 0.02, depth.shape)
-    place = depth + draw.normal(0.0, 1e-5, depth.shape)
-    found = survey([Streams("taps", times, force, times, place)])
-    assert found.finding("force axis").evidence == "no contact was seen"
     assert not found.finding("lift-off").claim
 
 
@@ -303,23 +280,6 @@ def test_noise_of_no_filter_is_taken_for_none(kind):
     assert not any(taken)
 
 
-@pytest.mark.statistics
-@pytest.mark.parametrize("order", [1, 2])
-def test_the_time_of_a_filter_lies_within_its_deviation(order):
-    errors = []
-    for seed in range(100):
-        draw = np.random.default_rng(seed)
-        rate, cutoff = draw.uniform(100.0, 500.0), math.exp(draw.uniform(1.0, 3.0))
-        noise = draw.normal(size=int(12.0 * rate))
-        passed = signal.lfilter(*signal.butter(order, cutoff, fs=rate), noise)[int(4 * rate) :]
-        found = find_filter([passed], rate)
-        if found is not None:
-            delay = {1: 1.0, 2: math.sqrt(2.0)}[order] / (2.0 * math.pi * cutoff)
-            errors.append((found.delay - delay) / found.sd)
-    assert len(errors) >= 20 and math.sqrt(np.mean(np.square(errors))) < 1.5
-    assert np.max(np.abs(errors)) < 4.0
-
-
 # The command
 
 INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
@@ -391,36 +351,6 @@ def test_signs_that_the_data_leave_open_are_said_with_their_probability_by_the_r
     words = f"(a probability of {axes[0]['probability']:.2f})"
     fden("replay", table, "--config", probe)
     assert words in capsys.readouterr().err
-
-
-def test_a_force_without_any_noise_warns_of_nothing(tmp_path, capsys):
-    # In two steps, as a coarse sensor shows it: lines through the air leave nothing.
-    rows = np.loadtxt(PRESS, delimiter=",", skiprows=1)
-    rows[:, 1] = np.where(rows[:, 1] > 0.05, 0.1, 0.0)
-    table = tmp_path / "steps.csv"
-    np.savetxt(table, rows, "%.6f", ",", header="time_s,force_N,depth_mm", comments="")
-    found = {f["subject"]: f for f in answer(capsys, "configure", table)["findings"]}
-    assert abs(found["force drift"]["value"]) < 1e-9
-
-
-# Measured
-
-
-@pytest.mark.skipif(not DATA, reason="set FDEN_DATA to the folder of the measured data")
-def test_the_robot_recording_tells_no_delay(capsys):
-    assert DATA is not None
-    path = Path(DATA, "robot_on_silicone_500hz.csv")
-    downwards = answer(capsys, "configure", path, "--columns", "@500,5,1")["parameters"]
-    assert downwards["displacement.inverted"] is True
-    answered = answer(capsys, "configure", path, "--columns", "@500,5,3")
-    found = {finding["subject"]: finding for finding in answered["findings"]}
-    assert not found["displacement unit"]["claim"]
-    assert answered["parameters"]["displacement.inverted"] is False
-    assert answered["parameters"]["force.inverted"] is False
-    assert found["lift-off"]["value"] == "never"
-    assert not found["delay"]["claim"]
-    assert not found["compliance"]["claim"]
-    assert math.isclose(found["force rate"]["value"], 500.0)
 
 
 def test_a_probe_in_transforms_alone_is_set_up_by_hand(tmp_path, capsys):
@@ -502,15 +432,6 @@ def test_a_sign_against_the_convention_is_told_and_the_recording_wins(tmp_path, 
     assert fden("configure", bag, "--robot", "ur", "-o", output) == 0
     assert "OPPOSITE" in capsys.readouterr().out
     assert read_parameter_file(output).force.axis[2] > 0.9
-
-
-def test_an_older_crtk_device_has_transforms_and_its_invalid_poses_are_left_out(tmp_path, capsys):
-    rig = rig_of(1.0, False)
-    layout = RigBag(rig.streams, "/PSM1/body/measured_cf", "/PSM1/measured_cp", "transform")
-    bag = layout.write(tmp_path / "bag", invalid=40)
-    assert fden("configure", bag, "--robot", "crtk", "-o", tmp_path / "probe.yaml") == 0
-    assert "40 messages without stamp or value" in capsys.readouterr().out
-    assert read_parameter_file(tmp_path / "probe.yaml").displacement.message == "transform"
 
 
 def test_the_topics_of_a_file_are_those_of_the_node_unless_it_is_told_others(tmp_path):

@@ -143,36 +143,6 @@ def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3):
     assert str(bag) == f"{root}/press/golden_pose_0.mcap"
 
 
-def test_of_an_mcap_file_its_index_and_the_chunks_that_are_asked_for_are_read(s3, tmp_path):
-    import boto3
-    from mcap.writer import Writer
-
-    size, path = 1 << 20, tmp_path / "large.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=size // 2)
-        writer.start()
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        image, force = (writer.register_channel(t, "cdr", schema) for t in ("/image", "/force"))
-        for time in range(20):
-            writer.add_message(image, time, bytes(size), time)
-        for time in range(100):
-            writer.add_message(force, 20 + time, b"\0\1\0\0" + bytes(1000), 20 + time)
-        writer.finish()
-    boto3.client("s3").upload_file(str(path), "lab", "large.mcap")
-    _, server = s3
-    before = server.sent
-    reader = BagReader("s3://lab/large.mcap")
-    assert [(topic.name, topic.message_count) for topic in reader.topics] == [
-        ("/force", 100),
-        ("/image", 20),
-    ]
-    index = server.sent - before
-    assert 0 < index < 70_000
-    assert len(list(reader.messages(["/force"]))) == 100
-    assert server.sent - before - index < 2 * size
-    assert len(list(reader.messages())) == 120
-
-
 @pytest.mark.parametrize("name", ["s3://lab/x.mcap", "https://127.0.0.1/x.mcap", "sftp://h/x.csv"])
 def test_without_the_extra_one_line_says_what_to_install(name):
     hidden = "import sys; sys.modules['upath'] = None; from fden_ros.cli import main; "
@@ -185,9 +155,16 @@ def test_without_the_extra_one_line_says_what_to_install(name):
     assert done.returncode == 1 and name in line and "pip install '.[cluster]'" in line
 
 
-def test_what_could_not_be_reached_is_done_again_the_next_time(tmp_path):
-    (row,) = identify("http://127.0.0.1:1/press.mcap", work := Work(check({}), Selection()))
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("http://127.0.0.1:1/press.mcap", "cannot be reached"),
+        ("/nowhere/a.mcap", "does not exist"),
+    ],
+)
+def test_what_could_not_be_reached_is_done_again_the_next_time(place, words, tmp_path):
+    (row,) = identify(place, work := Work(check({}), Selection()))
     results = Results(tmp_path / "results.csv", work.digest())
     results.add([row])
-    assert "cannot be reached" in row["error"]
+    assert words in row["error"]
     assert not Results(results.path, work.digest()).has(row["bag"])

@@ -223,26 +223,6 @@ def test_a_ramp_leaves_the_integral_of_the_relaxation(relaxation):
     assert found[-1] == pytest.approx(1000.0 * 0.05 * integral, rel=1e-3)
 
 
-def test_contact_pushes_and_the_tissue_wears_with_each_press():
-    knots = np.cumsum([0.0, 0.5, 0.5, 0.7, 60.0, 0.2, 0.5, 0.5, 0.7])
-    strains = [0.0, 0.2, 0.2, -0.05, -0.05, 0.0, 0.2, 0.2, -0.05]
-    times = COARSE_STEP * np.arange(1, round(float(knots[-1]) / COARSE_STEP) + 1)
-    motion = np.interp(times, knots, strains)
-    halves = times < 30.0
-
-    def peaks(**wear):
-        stress = stress_of_law(
-            Law(LINEAR, standard_linear_solid(0.5), **wear), motion, COARSE_STEP
-        )
-        assert stress.min() == 0.0
-        return stress[halves].max(), stress[~halves].max()
-
-    first, second = peaks(softening=0.1)
-    assert second == pytest.approx(0.9 * first, rel=2e-3)
-    first, second = peaks(set_strain=0.02)
-    assert second == pytest.approx(0.9 * first, rel=0.02)
-
-
 # Scenario files: those that come along, and what is said about wrong ones
 
 
@@ -354,17 +334,6 @@ def recorded(press=None, **arguments):
     return simulate(scenario(press, **arguments))
 
 
-def added(**disturbances):
-    """Return times, what disturbances add to the force, and the only contact."""
-    clean = recorded()
-    disturbed = recorded(disturbances=Disturbances(**disturbances))
-    return (
-        seconds(clean.force),
-        disturbed.force.value - clean.force.value,
-        contact_times(clean)[0],
-    )
-
-
 def exact_force(times, strain):
     """Return the force of the law along a strain (n,) that is 0 first, at the same times."""
     return AREA * stress_of_piecewise_linear_strain(times, strain, times, MODEL)
@@ -405,31 +374,12 @@ def test_disturbed_motion_changes_the_strain_and_not_the_reading(kind):
         assert np.ptp(lost) == pytest.approx(1e-3, rel=0.02)
 
 
-def friction(times, start, stop):
+def test_friction_pushes_against_the_motion_and_ends_with_the_contact():
+    clean, disturbed = recorded(), recorded(disturbances=Disturbances(friction_n=0.02))
+    times, (start, stop) = seconds(clean.force), contact_times(clean)[0]
     inward, outward = (times > start) & (times < start + 1.25), times > start + 2.25
-    return 0.02 * ((times < stop) * (1.0 * inward - outward))
-
-
-def creep(times, start, stop):
-    rising = 0.03 * (1.0 - np.exp(-np.maximum(times - start, 0.0) / 0.7))
-    reached = 0.03 * (1.0 - np.exp(-(stop - start) / 0.7))
-    return np.where(times < stop, rising, reached * np.exp(-(times - stop) / 0.7))
-
-
-def thermal(times, start, stop):
-    return -0.05 * np.exp(-times / 2.0)
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({"friction_n": 0.02}, friction),
-        ({"creep_n": 0.03, "creep_s": 0.7}, creep),
-        ({"thermal_n": -0.05, "thermal_s": 2.0}, thermal),
-    ],
-)
-def test_force_has_the_error_of_the_stated_course(given, expected):
-    times, error, (start, stop) = added(**given)
+    expected = 0.02 * ((times < stop) * (1.0 * inward - outward))
     edges = np.array([start, start + 1.25, start + 2.25, stop])
     away = np.all(np.abs(times[:, None] - edges) > 0.01, axis=1)
-    np.testing.assert_allclose(error[away], expected(times, start, stop)[away], atol=1e-7)
+    error = disturbed.force.value - clean.force.value
+    np.testing.assert_allclose(error[away], expected[away], atol=1e-7)

@@ -57,8 +57,8 @@ class RigBag:
         ):
             self.store.register(get_types_from_msg(text, name))
 
-    def write(self, folder: Path, invalid: int = 0) -> Path:
-        """Write the bag; the first `invalid` poses have a stamp of 0."""
+    def write(self, folder: Path) -> Path:
+        """Write the bag."""
         s = self.streams
         rows = [(t, 0, i) for i, t in enumerate(s.force_times)]
         rows += [(t, 1, i) for i, t in enumerate(s.motion_times)]
@@ -70,8 +70,7 @@ class RigBag:
                 for topic, make in zip(self.topics, makers, strict=True)
             ]
             for time, which, index in rows:
-                stamp = 0.0 if which == 1 and index < invalid else time
-                message = makers[which](index, stamp)
+                message = makers[which](index, time)
                 data = self.store.serialize_cdr(message, message.__msgtype__)
                 writer.write(connections[which], round(time * 1e9) + 500_000, data)
         return folder
