@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from property_helpers import examples
 from scipy.stats import multivariate_normal, multivariate_t
 
 from fden_ros.core.classification import (
@@ -34,9 +33,6 @@ from fden_ros.tissues.library import load_library
 
 # Which tissue it is, with probabilities that mean what they say
 
-
-#: No test depends on the time it takes, nor on chance.
-steady = examples(100)
 
 LIBRARY = load_library()
 LIVER = LIBRARY.tissues[0]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline_helpers import items_of, of_columns, summaries_of
+from pipeline_helpers import items_of
 from property_helpers import counts
 
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
@@ -141,23 +141,6 @@ def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_dri
     assert 3000 < released < 3000 + 2000 / 5 + 60
 
 
-@pytest.mark.parametrize("ramp_s", [0.2, 0.8])
-def test_a_touch_soon_after_a_contact_longer_than_the_lookback_is_found(ramp_s):
-    rate_hz, found, wrong_signs = 60.0, [], 0
-    corners_s = np.cumsum([0, 2.0, ramp_s, 8.0, ramp_s, 0.05, 0.05, ramp_s, 1.0, ramp_s, 2.0])
-    depths_m = np.array([-10.0, 0.0, 2.0, 2.0, 0.0, -1.0, 0.0, 2.0, 2.0, 0.0, -10.0]) * 1e-3
-    time = np.arange(0.0, corners_s[-1], 1.0 / rate_hz)
-    way = np.interp(time, corners_s, depths_m)
-    for seed in range(20):
-        noise = 1e-3 * np.random.default_rng(seed).standard_normal(time.size)
-        force = 0.05 + 50.0 * np.maximum(way, 0.0) + noise
-        detector, events = events_of(made(force, way, rate_hz))
-        found.append([type(event) for _, event in events])
-        wrong_signs += detector.below_baseline
-    assert found == [[Onset, Release] * 2] * 20
-    assert wrong_signs == 0
-
-
 def test_pure_noise_is_no_contact():
     # 200 s at 1 kHz, 10,000 chunks: the threshold of four deviations of a *sample* is 18 of a
     # chunk's mean, so that even one false onset means something is wrong.
@@ -206,7 +189,7 @@ def test_force_that_swings_with_the_motion_is_no_contact_and_one_that_stands_out
         assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
 
 
-@pytest.mark.parametrize("frequency", [5.0, 12.0, 20.0, 35.0, 50.0, 70.0])
+@pytest.mark.parametrize("frequency", [5.0, 20.0, 50.0])
 def test_noise_of_a_force_that_swings_is_that_of_its_means_over_a_block(frequency):
     # 10 ms, the estimator's block: over a chunk of 20 ms a vibration of 35 or 50 Hz is over.
     rng = np.random.default_rng(17)
@@ -349,14 +332,3 @@ def test_inertia_of_a_mass_beyond_the_sensor_is_found_in_the_air(seeds):
         detector, events = events_of(impact(seed, 0.0))
         (onset,) = onsets(events)
         assert detector.inertial == 0 and onset.seen
-
-
-def test_a_fast_impact_is_advised_to_press_slower_not_faster():
-    pairs = impact(1, 0.08)
-    columns = np.array([(1e-9 * (p.stamp_ns - START_NS), p.force, p.displacement) for p in pairs])
-    parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
-    pipeline, outputs = of_columns(parameters, *columns.T)
-    said = " ".join(pipeline.warnings)
-    assert "g beyond the sensor (press slower)" in said
-    assert "faster" not in said and "drifts" not in said
-    assert all(one.estimate is None and not one.converged for one in summaries_of(outputs))

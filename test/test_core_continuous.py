@@ -179,9 +179,6 @@ def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_varian
     )
 
 
-NONLINEAR = {"geometry.area": 3e-4, "geometry.thickness": 0.02, "geometry.thickness_sd": 0.0}
-
-
 def test_the_complex_modulus_is_the_stiffness_by_the_geometry():
     area, thickness = 1e-4, 0.02
     record = palpated(2, is_rigid=True)
@@ -219,18 +216,6 @@ def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay
     assert len(places) > 10 and not any(one.is_of_path for one in places)
     assert all(Flag.AT_PRIOR_LIMIT in one.flags and not one.estimate.observable for one in places)
     assert any("displacement.delay" in words for words in pipeline.warnings)
-
-
-def test_a_force_ahead_by_more_than_a_right_angle_is_told():
-    record = palpated(6, is_rigid=True, delay=0.2)
-    pipeline, outputs = identify(record, **NONLINEAR)
-    assert not any(state.apparent_stiffness for state in of(TissueState, outputs))
-    assert not of(DynamicModulus, outputs)
-    (words,) = pipeline.warnings
-    assert "leads the displacement by" in words and "stamped late" in words
-    degrees = float(words.split(" degrees")[0].split()[-1])
-    truth = math.degrees(0.2 * record.angular_frequency) + 90.0 * record.order
-    assert degrees == pytest.approx(truth, abs=3.0)
 
 
 def test_a_long_gap_ends_the_place_and_forgets_it():

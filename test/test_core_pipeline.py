@@ -309,16 +309,6 @@ def test_outputs_come_in_the_order_of_their_stamps_each_label_and_summary_after_
             assert output.stamp_ns > output.end_ns > output.start_ns
     assert open_contact == 3
     assert ids(outputs) == sorted(ids(outputs))
-    # A contact begins undetermined, before its first label, and ends with the summary's.
-    for summary in undisturbed().summaries:
-        own = [
-            o
-            for o in outputs
-            if isinstance(o, Classification) and o.contact_id == summary.contact_id
-        ]
-        assert own and summary.classes is not None
-        assert own[-1].classes is not None
-        assert own[-1].classes.label == summary.classes.label == "liver"
 
 
 def test_a_tare_takes_the_force_in_the_air_away() -> None:

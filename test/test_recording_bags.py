@@ -235,7 +235,6 @@ def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
 # Whatever stands in a file is read, or refused in one line
 
 
-ROOT = Path(__file__).parent.parent
 TABLE = b"time_s,force_N,depth_mm\n1,0,0\n1.1,0.1,1\n1.2,0.2,2\n"
 
 Read = Callable[[Path], object]

@@ -17,7 +17,6 @@ from fden_ros.cli import main
 from fden_ros.parameters import check
 from fden_ros.recording.source import Selection, open_source
 
-POSE = Path(__file__).resolve().parents[1] / "bags" / "golden" / "golden_pose"
 PRESS = Path(__file__).resolve().parents[1] / "examples" / "press.csv"
 
 
