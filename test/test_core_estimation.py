@@ -25,7 +25,7 @@ from fden_ros.core.estimation import (
     Uncertainty,
     moments,
 )
-from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.estimation.cells import CREEP_RATES, Path, Place, Press, gathered
 from fden_ros.core.estimation.covariance import Noise, scales_of
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import Cells, Grid, of_stiffness, solve, table, whitened
@@ -192,13 +192,13 @@ def test_columns_are_the_derivatives_of_the_response() -> None:
 def test_block_by_block_is_the_batch_sum_on_the_same_nodes() -> None:
     """Factor and sums of 25 appended cells are those of the whole record to 1e-9."""
     grid, later = laid_on(2, 25)
-    state, press = Filter(grid), grid.law.place.presses[-1]
-    points = []
+    state = Filter(grid)
+    points, tails = [], []
     for block in later:
-        ahead = state.stress_ahead
-        press = press.appended(block, 0.0)
-        points.append(ahead(press.times[state.points :]))
-        state.append(press)
+        tails.append(state.path.tail(block, 0.0))
+        points.append(state.stress_ahead(tails[-1].times))
+        state.append(tails[-1])
+    press = grid.law.place.presses[-1].appended(tails)
     law = replace(grid.law, place=replace(grid.law.place, presses=(press.remembered(),)))
     about = replace(grid.about, stresses=np.concatenate([grid.about.stresses, *points]))
     responses, linear = law.responses(grid.nodes, about)
@@ -231,14 +231,16 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
         np.zeros((law.size, 3)),
         np.zeros(press.times.size),
     )
-    ((_, whole),) = law.moves(press, slice(None), about)
+    whole = law.moves(press, about.stresses, about)[:, 0]
     # It turns twice: the tip is behind by the whole play, and where the drive is again.
     ends = [whole[0], whole.max(), whole[-1]]
     assert ends == pytest.approx([0.0, 5e-4 / GEOMETRY.length, 0.0], abs=1e-12)
     for points in range(1, whole.size, 7):
-        tail = press.behind(points, press.middles.size)
-        ((_, own),) = law.moves(tail, slice(points, None), about)
-        np.testing.assert_array_equal(own, whole[points:])
+        own = {name: getattr(press, name)[points:] for name in ("times", "indentations", "speeds")}
+        path = Path(press.times[:points], press.indentations[:points], press.start).needed
+        tail = replace(press, earlier=path.indentations, **own)
+        found = law.moves(tail, about.stresses[points:], about)[:, 0]
+        np.testing.assert_array_equal(found, whole[points:])
 
 
 def test_same_samples_in_other_parts_give_the_same_bits() -> None:

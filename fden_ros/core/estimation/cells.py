@@ -20,6 +20,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Press:
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
     #: of the first cells and points alone until it is :meth:`remembered`.
     memory: Array
-    #: Of what is behind some points: the indentations at these [1].
+    #: Of a tail: the indentations at points before it, as far as it depends on them [1].
     earlier: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -69,43 +70,17 @@ class Press:
         """What makes the moments at its end of stresses at its cells, (33, N)."""
         return _moments_of(self)
 
-    def appended(self, block: Block, noise_sd: float) -> Press:
-        """Return the press with one block more; one that was not observed adds points alone."""
-        spread = block.spread
-        offsets = np.array([-spread, spread]) if spread > 0.0 else np.zeros(1)
-        times, motion = block.middle + offsets, block.indentation + block.slope * offsets
-        before = self.times.size
-        joined = np.append(self.times[-2:], times), np.append(self.indentations[-2:], motion)
-        slopes = np.diff(joined[1]) / np.maximum(np.diff(joined[0]), 1e-9)
-        own = slopes[-1:] if spread == 0.0 else _seen_slope(block.slope, block.slope_sd, noise_sd)
-        step = block.step or float(joined[0][-1] - joined[0][-2])
-        found = replace(
-            self,
-            times=np.append(self.times, times),
-            indentations=np.append(self.indentations, motion),
-            speeds=np.append(self.speeds, np.full(times.size, own)),
-        )
-        if not block.is_observed:
-            return found
-        return replace(
-            found,
-            first=np.append(self.first, before),
-            last=np.append(self.last, before + times.size - 1),
-            middles=np.append(self.middles, block.middle),
-            durations=np.append(self.durations, block.duration + block.step),
-            counts=np.append(self.counts, block.samples),
-            stresses=np.append(self.stresses, block.stress),
-            corners=np.append(self.corners, float(np.abs(np.diff(slopes)).max(initial=0)) * step),
-            steps=np.append(self.steps, max(step, 1e-4)),
-        )
-
-    def behind(self, points: int, cells: int) -> Press:
-        """Return what it has behind some points and cells."""
-        of_points = {name: getattr(self, name)[points:] for name in _OF_POINTS}
-        of_cells = {name: getattr(self, name)[cells:] for name in _OF_CELLS}
-        first, last = self.first[cells:] - points, self.last[cells:] - points
-        earlier = self.indentations[:points]
-        return replace(self, first=first, last=last, earlier=earlier, **of_points, **of_cells)
+    def appended(self, tails: Sequence[Press]) -> Press:
+        """Return the press with more points and cells behind."""
+        parts, ends = (self, *tails), np.cumsum([self.times.size, *(t.times.size for t in tails)])
+        found: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in (*_OF_POINTS, *_OF_CELLS)
+        }
+        for name in ("first", "last"):
+            own = [getattr(tail, name) + end for tail, end in zip(tails, ends[:-1], strict=True)]
+            found[name] = np.concatenate([getattr(self, name), *own])
+        return replace(self, **found)
 
     def remembered(self) -> Press:
         """Return it with its whole memory."""
@@ -141,11 +116,68 @@ class Press:
         found[:-2, done:] *= own[:, None, :]
         return replace(self, memory=found)
 
-    def forgotten(self) -> Press:
-        """Return it without its memory, which takes 50 times as much as all else."""
-        return replace(self, memory=np.zeros((RATE_COUNT + 2, 0, 0)))
+
+class Path(NamedTuple):
+    """The newest points of a press."""
+
+    times: Array  #: [s], (n,)
+    indentations: Array  #: [1], (n,)
+    start: float  #: time of the first [s]
+
+    def tail(self, block: Block, noise_sd: float) -> Press:
+        """Return the points of one block more, and its cell; none where it was not observed."""
+        spread, step = block.spread, block.step
+        offsets = (-spread, spread) if spread > 0.0 else (0.0,)
+        times = [block.middle + offset for offset in offsets]
+        motion = [block.indentation + block.slope * offset for offset in offsets]
+        at = self.times[-2:].tolist() + times
+        slopes = [
+            (b - a) / max(end - begin, 1e-9)
+            for (a, b), (begin, end) in zip(
+                itertools.pairwise(self.indentations[-2:].tolist() + motion),
+                itertools.pairwise(at),
+                strict=True,
+            )
+        ]
+        speed = _seen_slope(block.slope, block.slope_sd, noise_sd) if spread else slopes[-1]
+        step = step or at[-1] - at[-2]
+        bends = [abs(b - a) * step for a, b in itertools.pairwise(slopes)]
+        n, count = len(times), int(block.is_observed)
+        first = np.zeros(count, dtype=np.intp)
+
+        def of_cell(value: float) -> Array:
+            return np.full(count, float(value))
+
+        return Press(
+            np.array(times),
+            np.array(motion),
+            np.full(n, float(speed)),
+            first,
+            first + n - 1,
+            middles=of_cell(block.middle),
+            durations=of_cell(block.duration + block.step),
+            counts=of_cell(block.samples),
+            stresses=of_cell(block.stress),
+            corners=of_cell(max(bends, default=0.0)),
+            steps=of_cell(max(step, 1e-4)),
+            start=self.start,
+            memory=_NO_MEMORY,
+            earlier=self.indentations,
+        )
+
+    def after(self, tail: Press) -> Path:
+        """Return the path with the points of a tail."""
+        times = np.append(self.times, tail.times)
+        return Path(times, np.append(self.indentations, tail.indentations), self.start).needed
+
+    @property
+    def needed(self) -> Path:
+        """The points that a later one depends on: from the deepest, where no play is left, on."""
+        first = min(int(np.argmax(self.indentations)), self.times.size - 2)
+        return Path(self.times[first:], self.indentations[first:], self.start)
 
 
+_NO_MEMORY = np.zeros((RATE_COUNT + 2, 0, 0))
 _OF_POINTS = "times", "indentations", "speeds"
 _OF_CELLS = "middles", "durations", "counts", "stresses", "corners", "steps"
 
@@ -262,7 +294,7 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
         np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2)),
         weights @ np.maximum(rows.steps[at], 1e-4),
         float(grid[0]),
-        np.zeros((RATE_COUNT + 2, 0, 0)),
+        _NO_MEMORY,
     )
     return press.remembered()
 

@@ -126,11 +126,6 @@ class Clocks:
     surface: Array  #: [1]
     gain: Array  #: stress by indentation of the surface [Pa]
 
-    def added(self, other: Clocks) -> Clocks:
-        """Return them with more cells behind."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Clocks(*(np.append(a, b) for a, b in pairs))
-
 
 class Covariance:
     """S about one node, by its parts."""
@@ -185,7 +180,7 @@ class Covariance:
         number, rough, force, surface = map(np.concatenate, zip(*parts, strict=True))
         return Clocks(number, rough, force, surface, self.linear.gains * self.surface_factor)
 
-    @property
+    @functools.cached_property
     def surface_factor(self) -> float:
         """The stiffness that the surface meets over that without relaxation [1/s^alpha]."""
         return float(self.law.relaxed(self.about.theta, np.array([_SURFACE_TIME]))[0])
@@ -260,20 +255,21 @@ class Covariance:
         return found
 
     def shifts(self) -> Array:
-        """Return X z0, what the unknowns are known to give: at the node, and by theta, (N, 1 + d).
+        """Return X z0, what is known of the unknowns: at the node, and by theta, (N, 1 + d)."""
+        return np.asarray(self.linear.columns @ self.expected)
+
+    @functools.cached_property
+    def expected(self) -> Array:
+        """The unknowns z0, at the node and by theta, (k, 1 + d).
 
         Of what enters the stress linearly only the prior's mean counts: responses are without it.
         """
-        return shifts_of(self.law, self.about, self.linear.columns)
-
-
-def shifts_of(law: Law, about: Expansion, columns: Array) -> Array:
-    """Return X z0 of some columns, at the expansion's node and by theta, (rows, 1 + d)."""
-    state, by_theta = np.clip(about.state, -8.0, 8.0), about.by_theta.copy()
-    for k, (one, _) in enumerate(law.slots, RIG):
-        if not one.moves:
-            state[k], by_theta[k] = -one.mean, 0.0
-    return columns @ np.column_stack([state, by_theta])
+        found = np.column_stack([np.clip(self.about.state, -8.0, 8.0), self.about.by_theta])
+        for k, (one, _) in enumerate(self.law.slots, RIG):
+            if not one.moves:
+                found[k] = 0.0
+                found[k, 0] = -one.mean
+        return found
 
 
 def _order_of(law: Law, about: Expansion) -> float:

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.law import RATES, left_after, phi, relaxation_weights
 
 #: Knots of epsilon [1], and of delta: one a decade of ln t [ln s].
@@ -60,16 +60,26 @@ def last_knot(deepest: float) -> float:
 
 def splines(strain: Array, last: float) -> Array:
     """Return the quadratic splines of epsilon at strains (n,), straight beyond `last`, (n, 22)."""
-    cells = CURVE_KNOTS - 2
-    place = cells / math.log1p(1.0 / _NEAR) * np.log1p(np.abs(strain) / (_NEAR * last))
-    cell = np.where(place < cells, place, cells - 1).astype(np.intp)
+    at, parts, _ = spline_parts(strain, last)
+    found = np.zeros((strain.size, CURVE_KNOTS))
+    np.put_along_axis(found, at.T, parts.T, axis=1)
+    return found
+
+
+def spline_parts(strain: Array, last: float) -> tuple[Indices, Array, Array]:
+    """Return the three splines that are not 0 at strains (n,), and their slopes, (3, n) each."""
+    cells, scale = CURVE_KNOTS - 2, _NEAR * last
+    size = np.abs(strain)
+    place = cells / math.log1p(1.0 / _NEAR) * np.log1p(size / scale)
+    cell = np.minimum(place.astype(np.intp), cells - 1)
     p, inside = place - cell, place < cells
     before = np.where(inside, 0.5 * (1.0 - p) ** 2, 0.0)
     middle = np.where(inside, 0.5 + p - p**2, 1.5 - p)
-    found, at = np.zeros((strain.size, CURVE_KNOTS)), np.arange(strain.size)
-    found[at, cell], found[at, cell + 1] = before, middle
-    found[at, cell + 2] = 1.0 - before - middle
-    return found
+    by_strain = cells / math.log1p(1.0 / _NEAR) / (scale + size)
+    first, second = np.where(inside, p - 1.0, 0.0), np.where(inside, 1.0 - 2.0 * p, -1.0)
+    slopes = np.array([first, second, -first - second]) * by_strain
+    at = cell + np.arange(3)[:, None]
+    return at, np.array([before, middle, 1.0 - before - middle]), slopes
 
 
 def spline_places(last: float) -> Array:

@@ -165,7 +165,7 @@ class GridEstimator(Estimator):
         for one in self._hypotheses:
             one.place.release()
         self._hypotheses = self._possible()
-        return self.estimate()
+        return self.estimate()._replace(components=_components(self._parts()))
 
     def _possible(self) -> list[_Hypothesis]:
         """Return the places that are not far less likely than a settled one.
@@ -319,7 +319,6 @@ class GridEstimator(Estimator):
             is_order_contradicted=any(part.is_order_contradicted for part in parts),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
-            components=_components(parts),
             small_motions=self._small_motions(parts),
         )
 

@@ -19,14 +19,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.cells import Press
-from fden_ros.core.estimation.covariance import JITTER, Clocks, Scales, shifts_of
+from fden_ros.core.estimation.cells import Path, Press
+from fden_ros.core.estimation.covariance import JITTER, Scales
 from fden_ros.core.estimation.discrepancy import KERNEL, KERNEL_HATS
 from fden_ros.core.estimation.face import CellInnovation
 from fden_ros.core.estimation.grid import (
@@ -55,7 +54,10 @@ class _Row(NamedTuple):
 
     column: Array  #: (k,)
     responses: Array  #: (M,)
-    clocks: Clocks
+    rough: float  #: how far the walks have gone: of the roughness at a scale of 1 [Pa^2]
+    force: float  #: [Pa^2]
+    surface: float  #: [1]
+    gain: float  #: stress by indentation of the surface [Pa]
     noise: float  #: variance [Pa^2]
 
 
@@ -75,6 +77,10 @@ class Filter:
         Of the nodes.
     log_evidence : float
         Of the record by now.
+    products : ndarray, shape (k, 1 + d + k + M)
+        Of X P with y, itself and the responses, whitened.
+    path : Path
+        The newest points of the press.
     """
 
     stiffness: Stiffness
@@ -85,7 +91,8 @@ class Filter:
         self.grid = grid
         law, linear = grid.law, grid.linear
         self._heads = grid.cells.y.shape[1]
-        self._press = law.place.presses[-1]
+        press = law.place.presses[-1]
+        self.path = Path(press.times, press.indentations, press.start).needed
         self._taken: list[tuple[_Row, float]] = []  #: new cells, and their stresses [Pa]
         self._begin(grid.start.scales, grid.lower, grid.white, grid.stiffness)
         # Rates of the lead, its changes, and the nodes.
@@ -93,18 +100,18 @@ class Filter:
         self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
         rises = np.diff(self._driven, axis=0, prepend=0.0)
         self._driven = self._driven[-1]
-        elapsed = np.diff(self._press.times, prepend=self._press.times[0])
+        elapsed = np.diff(press.times, prepend=press.times[0])
         y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
-        since = self._press.times[-1] - self._press.times
+        since = press.times[-1] - press.times
         self._left = (np.exp(-np.multiply.outer(RATES, since)) * -np.expm1(-y) / y) @ rises
         k = 1 + law.size
         self._weights = np.hstack(
             [np.repeat(linear.weights[:, :1], k, axis=1), linear.weights[:, 1 + linear.which]]
         )
         self._stresses = linear.stresses[-2:].tolist()
-        self._middles = self._press.middles[-2:].tolist()
+        self._middles = press.middles[-2:].tolist()
         self._loading = grid.covariance.loading
-        self._rough = float(self._clocks.roughness[-1])
+        self._rough = float(grid.covariance.clocks.roughness[-1])
 
     def _begin(
         self, scales: Scales, lower: Array, white: Array, stiffness: Stiffness | None
@@ -121,6 +128,7 @@ class Filter:
         self.lower[: self.count, : self.count] = lower
         self.white = np.zeros((size, width))
         self.white[: self.count] = white
+        self.products = white[:, self._heads : self._heads + law.size].T @ white
         self.columns = np.zeros((size, law.size))
         self.columns[: self.count] = grid.linear.columns
         rows, own = white[:, self._heads + law.size :], white[:, : self._heads]
@@ -128,7 +136,15 @@ class Filter:
         self._a = np.einsum("ij,ij->j", rows, rows)
         self._b = np.einsum("ij,ij->j", own, rows)
         self._rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
-        self._clocks = grid.covariance.clocks
+        clocks = grid.covariance.clocks
+        # Covariances of the walks with those at a later cell: as they are, and by its gain.
+        self._walks = np.zeros((2, size))
+        self._walks[:, : self.count] = (clocks.press == clocks.press[-1]) * np.array(
+            [
+                scales.roughness**2 * clocks.roughness + clocks.force,
+                scales.motion**2 * clocks.gain * clocks.surface,
+            ]
+        )
         self._first = self._now = self._weighed(None)
         self._mixed = stiffness or self._first
         self._mix()
@@ -165,11 +181,6 @@ class Filter:
         return self._loading.age
 
     @property
-    def points(self) -> int:
-        """Points of the press by now."""
-        return self._press.times.size
-
-    @property
     def sums(self) -> tuple[Array, Array]:
         """The sums a and b of all nodes, (M,) each."""
         return self._a, self._b
@@ -180,11 +191,9 @@ class Filter:
         slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
         return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
 
-    def append(self, press: Press) -> CellInnovation | None:
-        """Take the press with one block more; None: it was not observed, or there is no room."""
-        tail = press.behind(self._press.times.size, self._press.middles.size)
+    def append(self, tail: Press) -> CellInnovation | None:
+        """Take the tail of the path; None: it was not observed, or there is no room."""
         row = self._row(tail)
-        self._press = press
         if row is None or self.is_full:
             return None
         stress = float(tail.stresses[0])
@@ -192,12 +201,13 @@ class Filter:
         return self._take(row, stress)
 
     def _take(self, row: _Row, stress: float) -> CellInnovation:
-        n, k = self.count, self._heads + self.grid.law.size
+        n, heads, k = self.count, self._heads, self._heads + self.grid.law.size
         own, root, white = self._whitened(row, stress)
         self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
-        self._clocks = self._clocks.added(row.clocks)
-        seen = white[0] + self.grid.cells.off @ white[1 : self._heads]
+        self._walks[:, n] = self._walks_at(row)
+        self.products = self.products + white[heads:k, None] * white
+        seen = white[0] + self.grid.cells.off @ white[1:heads]
         off, variance = self._off(root, seen, white[k:])
         self._a = self._a + white[k:] ** 2
         self._b = self._b + seen * white[k:]
@@ -215,10 +225,8 @@ class Filter:
         rows, state = [], copy.copy(self)
         for time, indentation in zip(times.tolist(), indentations.tolist(), strict=True):
             block = Block(time, 0.0, indentation, 0.0, 0.0, 0.0, 0.0, 1, 0.0, True)
-            press = state._press.appended(block, 0.0)
-            row = state._row(press.behind(state._press.times.size, state._press.middles.size))
+            row = state._row(state.path.tail(block, 0.0))
             assert row is not None
-            state._press = press
             rows.append(row)
         likely = [(one, share) for one, share in self.grid.scales if share > _LEAST_SHARE]
         shares = np.array([share for _, share in likely])
@@ -232,7 +240,7 @@ class Filter:
         """Return the filter of the same cells at other scales."""
         found, grid = copy.copy(self), self.grid
         found._begin(scales, *whitened(grid.law, grid.covariance, scales, grid.cells), None)
-        for row, stress in self._taken:
+        for row, stress in self._taken[: self.count - len(grid.lower)]:
             found._take(row, stress)
         return found
 
@@ -249,14 +257,20 @@ class Filter:
     def _whitened(self, row: _Row, stress: float) -> tuple[Array, float, Array]:
         """Return the row of L of a new cell, its diagonal, and the cell's row, whitened."""
         n, x = self.count, self._prior @ row.column
-        across = self.columns[:n] @ x + self._walked(row.clocks)
+        at = self._walks_at(row)
+        across = self.columns[:n] @ x + self._walks[0, :n] + row.gain * self._walks[1, :n]
         own = solved(self.lower[:n, :n], across[:, None])[:, 0]
-        variance = float(row.column @ x) + self._walked_to(row.clocks) + row.noise
+        variance = float(row.column @ x) + at[0] + row.gain * at[1] + row.noise
         root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
-        shift = shifts_of(self.grid.law, self.grid.about, row.column[None])[0]
+        shift = row.column @ self.grid.covariance.expected
         shift[0] += stress
         white = (np.concatenate([shift, x, row.responses]) - own @ self.white[:n]) / root
         return own, root, white
+
+    def _walks_at(self, row: _Row) -> tuple[float, float]:
+        scales = self.scales
+        rough = scales.roughness**2 * row.rough + row.force
+        return rough, scales.motion**2 * row.gain * row.surface
 
     def _off(self, root: float, seen: Array, rows: Array) -> tuple[float, float]:
         """Return by how much a cell is off its prediction, and the variance of that."""
@@ -269,12 +283,12 @@ class Filter:
     def _row(self, tail: Press) -> _Row | None:
         """Take the points of a block; return the row of its cell, None where it has none."""
         grid, law = self.grid, self.grid.law
-        times = tail.times
-        about = replace(grid.about, stresses=self.stress_ahead(times))
-        drive = law.drive(tail, slice(None), grid.nodes, about, grid.linear.free)
+        times, newest = tail.times, self.path.times[-1]
+        drive = law.drive(tail, self.stress_ahead(times), grid.linear.at, grid.linear.free)
+        self.path = self.path.after(tail)
         driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
         rises = np.diff(driven, axis=0, prepend=self._driven[None])
-        seconds = np.maximum(np.diff(times, prepend=self._press.times[-1]), 1e-9)
+        seconds = np.maximum(np.diff(times, prepend=newest), 1e-9)
         y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)
         since = times[:, None] - times
         left = np.exp(np.multiply.outer(-RATES, np.where(since >= 0.0, since, np.inf)))
@@ -285,55 +299,37 @@ class Filter:
         self._left, self._driven = decay[:, -1:] * before + into[:, -1] @ rises, driven[-1]
         if not tail.middles.size:
             return None
-        points = [int(tail.first[0]), int(tail.last[0])]
+        # A cell is the mean of the points that the tail has.
         rates = np.vstack(
             [
-                decay[:, points].mean(axis=1)[:, None] * before
-                + into[:, points].mean(axis=1) @ rises,
-                driven[points].mean(axis=0),
-                (rises[points] / seconds[points, None]).mean(axis=0),
+                decay.mean(axis=1)[:, None] * before + into.mean(axis=1) @ rises,
+                driven.mean(axis=0),
+                (rises / seconds[:, None]).mean(axis=0),
             ]
         )
         total = np.einsum("rc,rc->c", self._weights, rates)
-        by_rate = self._weights[:, 0] * rates[:, 0]
         k = 1 + law.size
         column = total[1:k]
         if law.has_kernel_error:
-            column[KERNEL] = by_rate @ KERNEL_HATS
-        number = len(law.place.presses) - 1
-        law.add_stress_columns(tail, number, column[None])
+            column[KERNEL] = (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
+        law.add_stress_columns(tail, len(law.place.presses) - 1, column[None])
         load, gain, steepest = of_cells(tail, drive)
-        clocks = self._clocks_after(tail, float(total[0]), load, gain)
-        self._stresses = [self._stresses[-1], float(total[0])]
-        self._middles = [self._middles[-1], float(tail.middles[0])]
         noise = grid.covariance.noise_of(
             tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
         )
-        return _Row(column, total[k:], clocks, float(noise[0]))
+        return self._row_of(tail, total[:k], total[k:], float(load[0]), float(gain[0]), noise)
 
-    def _clocks_after(self, tail: Press, stress: float, load: Array, gain: Array) -> Clocks:
-        """Return how far the walks have gone at a new cell, the newest from now on."""
-        covariance = self.grid.covariance
-        seconds = float(tail.middles[0]) - self._middles[-1]
-        self._loading, turned = self._loading.after(float(load[0]) + covariance.floor, seconds)
-        number = len(self.grid.law.place.presses) - 1
-        force, surface = covariance.walked(tail)
+    def _row_of(
+        self, tail: Press, lead: Array, responses: Array, load: float, gain: float, noise: Array
+    ) -> _Row:
+        """Return the row of the newest cell from now on."""
+        covariance, stress, middle = self.grid.covariance, float(lead[0]), float(tail.middles[0])
+        seconds = middle - self._middles[-1]
+        self._loading, turned = self._loading.after(load + covariance.floor, seconds)
+        self._stresses = [self._stresses[-1], stress]
+        self._middles = [self._middles[-1], middle]
         self._rough = self._rough + stress**2 * turned
-        return Clocks(
-            np.array([number]),
-            np.array([self._rough]),
-            force,
-            surface,
-            gain * covariance.surface_factor,
-        )
-
-    def _walked(self, new: Clocks) -> Array:
-        """Return the covariance of the walks at all cells with those at a new one."""
-        old, scales = self._clocks, self.scales
-        same = old.press == new.press
-        surface = scales.motion**2 * new.gain * old.gain * old.surface
-        return np.asarray(same * (scales.roughness**2 * old.roughness + old.force + surface))
-
-    def _walked_to(self, new: Clocks) -> float:
-        found = self.scales.roughness**2 * new.roughness + new.force
-        return float((found + self.scales.motion**2 * new.gain**2 * new.surface)[0])
+        force, surface = covariance.walked(tail)
+        gain *= covariance.surface_factor
+        return _Row(lead[1:], responses, self._rough, float(force[0]), float(surface[0]), gain,
+                    float(noise[0]))  # fmt: skip

@@ -101,9 +101,8 @@ def of_stiffness(
         line, square = b * e, a * e**2
         curve = np.maximum(2.0 * square - line, 0.5 * square) + 1.0 / sd**2
         step = (line - square - (g - mean) / sd**2) / curve
-        step = np.minimum(np.maximum(step, -1.0), 1.0)
-        g = g + step
-        if max(step.max(), -step.min()) < 1e-6:
+        g = g + np.minimum(np.maximum(step, -1.0), 1.0)
+        if np.abs(step).max() < 1e-4:  # quadratic convergence: the error is 1e-8 by now
             break
     e = np.exp(g)
     line, square = b * e, a * e**2

@@ -77,12 +77,21 @@ class Expansion:
     by_theta: Array  #: (k, d)
     stresses: Array  #: at the points, by the model [Pa], (n,)
 
-    def at(self, places: slice | Indices, nodes: Array | None = None) -> Array:
+    def at(self, places: slice | list[int], nodes: Array | None = None) -> Array:
         """Return some unknowns at nodes, (k, M), or at the node itself, (k,)."""
         found = self.state[places]
         if nodes is not None:
             found = found[:, None] + self.by_theta[places] @ (nodes - self.theta).T
         return np.asarray(np.minimum(np.maximum(found, -_MOST), _MOST))
+
+
+class AtNodes(NamedTuple):
+    """An expansion at its own node, the first, and at others: what no motion changes."""
+
+    about: Expansion
+    nodes: Array  #: (1 + M, d)
+    bend: Array  #: epsilon at its knots, (22, 1 + M)
+    moving: Array  #: what moves the points, in deviations, (moves, 1 + M)
 
 
 class Drive(NamedTuple):
@@ -155,6 +164,7 @@ class Linear(NamedTuple):
     free: Free | None  #: before that; None: no press was before
     which: Indices  #: the relaxation of each node
     weights: Array  #: of the relaxations by rate, the expansion's first, (34, 1 + kernels)
+    at: AtNodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,52 +282,47 @@ class Law:
         found = self.geometry.strains(u)
         return found.values, found.slopes
 
-    def indentations(self, press: Press, at: slice, nodes: Array, about: Expansion) -> Array:
-        """Return the indentations of points from the contact point, at nodes, (n, M)."""
-        moved: Array = press.indentations[:, None] - nodes[:, -1]
-        moves = self.moves(press, at, about)
-        if moves:
-            places, columns = zip(*moves, strict=True)
-            moved += np.column_stack(columns) @ about.at(np.array(places), nodes)
-        return moved
+    @functools.cached_property
+    def moving(self) -> list[int]:
+        """The places in a state of what moves points."""
+        return [k for k, (one, _) in enumerate(self.slots, RIG) if one.moves]
 
-    def moves(self, press: Press, at: slice, about: Expansion) -> list[tuple[int, Array]]:
-        """Return the places in a state of what moves points, and their columns."""
+    def moves(self, press: Press, stresses: Array, about: Expansion) -> Array:
+        """Return the columns of what moves points, (n, moves)."""
         motion = Motion(
-            press.times - press.start,
-            press.indentations,
-            press.speeds,
-            about.stresses[at],
-            press.earlier,
+            press.times - press.start, press.indentations, press.speeds, stresses, press.earlier
         )
-        return [
-            (k, one.column(motion._replace(size=float(about.state[k]))))
-            for k, (one, _) in enumerate(self.slots, RIG)
-            if one.moves
-        ]
+        found = np.empty((press.times.size, len(self.moving)))
+        for j, k in enumerate(self.moving):
+            own = motion._replace(size=float(about.state[k]))
+            found[:, j] = self.slots[k - RIG][0].column(own)
+        return found
 
-    def drive(
-        self, press: Press, at: slice, nodes: Array, about: Expansion, free: Free | None
-    ) -> Drive:
-        """Return what drives points of a press; `at`: their places in the expansion's stresses."""
+    def at_nodes(self, about: Expansion, nodes: Array) -> AtNodes:
+        """Return an expansion at its node and at others, (M, d)."""
         both = np.vstack([about.theta, nodes])
-        strain, by_u = self.strain(self.indentations(press, at, both, about))
+        return AtNodes(about, both, about.at(CURVE, both), about.at(self.moving, both))
+
+    def drive(self, press: Press, stresses: Array, at: AtNodes, free: Free | None) -> Drive:
+        """Return what drives points of a press; `stresses`: there, by the model [Pa]."""
+        moves = self.moves(press, stresses, at.about)
+        strain, by_u = self.strain(
+            press.indentations[:, None] - at.nodes[:, -1] + moves @ at.moving
+        )
         n, lead_strain = press.times.size, strain[:, 0]
         near = np.concatenate([lead_strain, np.abs(lead_strain) + 1e-4])
         basis, ahead = splines(near, self.last_knot).reshape(2, n, -1)
-        bend = about.at(CURVE, both)
-        psi = self.shape(strain, both[:, self.kernels])
-        if bend.any():
-            psi *= np.exp(basis @ bend)
-        g, own = math.exp(about.log_g), bend[:, 0]
+        psi = self.shape(strain, at.nodes[:, self.kernels])
+        if at.bend.any():
+            psi *= np.exp(basis @ at.bend)
+        g, own = math.exp(at.about.log_g), at.bend[:, 0]
         lead = g * psi[:, 0]
         tilted = (ahead - basis) @ own / 1e-4
-        slopes = g * self.slope(lead_strain, both[0, self.kernels]) * np.exp(basis @ own)
+        slopes = g * self.slope(lead_strain, at.nodes[0, self.kernels]) * np.exp(basis @ own)
         slopes = (slopes + np.abs(lead) * tilted) * by_u[:, 0]
-        changes = np.zeros((n, about.state.size))
+        changes = np.zeros((n, self.size))
         changes[:, CURVE] = lead[:, None] * basis
-        for k, column in self.moves(press, at, about):
-            changes[:, k] = slopes * column
+        changes[:, self.moving] = slopes[:, None] * moves
         if free is None:
             return Drive(psi[:, 1:], lead, changes, slopes)
         out = _left_of(free.end, press)
@@ -351,13 +356,18 @@ class Law:
     def response(self, about: Expansion) -> Array:
         """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
         node, place = about.theta[None], self.place
-        error, bend = KERNEL_HATS @ about.at(KERNEL), about.at(CURVE)
+        error, bend, moving = (
+            KERNEL_HATS @ about.at(KERNEL),
+            about.at(CURVE),
+            about.at(self.moving),
+        )
         weights = self.weights(node)[:, 0] * np.exp(error)
         back = self.creep(node)[:, 0] * np.exp(-error[:-1])
         past, end = place.older * math.exp(-about.log_g), place.older_end
         found: list[Array] = []
         for press, points in zip(place.presses, place.point_slices, strict=True):
-            strain = self.strain(self.indentations(press, points, node, about))[0][:, 0]
+            moved = self.moves(press, about.stresses[points], about) @ moving
+            strain = self.strain(press.indentations - about.theta[-1] + moved)[0]
             psi = self.shape(strain, about.theta[self.kernels])
             if bend.any():
                 psi *= np.exp(splines(strain, self.last_knot) @ bend)
@@ -379,13 +389,13 @@ class Law:
         sizes = [press.middles.size for press in self.place.presses]
         found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
         stresses, loads, gains, steepest = np.zeros((4, sum(sizes)))
-        past = _Past.of(self, about, len(nodes))
+        past, at = _Past.of(self, about, len(nodes)), self.at_nodes(about, nodes)
         free = None
         slices = zip(self.place.point_slices, self.place.cell_slices, strict=True)
         for q, (press, (points, cells)) in enumerate(zip(self.place.presses, slices, strict=True)):
             if past.is_pressed:
                 free = past.free(back, which)
-            drive = self.drive(press, points, nodes, about, free)
+            drive = self.drive(press, about.stresses[points], at, free)
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
                 -1, *press.memory.shape[1:]
             )
@@ -401,7 +411,7 @@ class Law:
             loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
             if q + 1 < len(sizes):
                 past = past.after(press, found[cells], stresses[cells], columns[cells])
-        linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights)
+        linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights, at)
         return found, linear
 
     def add_stress_columns(self, press: Press, number: int, columns: Array) -> None:

@@ -101,6 +101,7 @@ class PlacePosterior:
         self._began = 0.0
         self._record: Record | None = None
         self._press: Press | None = None
+        self._tails: list[Press] = []  #: of the press, since the newest grid
         self._blocks = 0
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
         self._fastest = self._largest = 0.0
@@ -161,7 +162,7 @@ class PlacePosterior:
         self._record = Record(self.noise_sd, reach, is_at_rest=is_one_sided)
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
-        self._touch, self._press, self.now = touch, None, now
+        self._touch, self._press, self._tails, self.now = touch, None, [], now
         self._began, self._steps, self._blocks = now, 0, 0
         self._is_pressed = self.has_slowed = self.is_changed = False
         self._fastest = self._largest = self._afresh_at = 0.0
@@ -191,9 +192,10 @@ class PlacePosterior:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block.slope)
         if self._press is not None:
-            self._press = self._press.appended(block, self.noise_sd)
             assert self.filter is not None
-            found = self.filter.append(self._press)
+            tail = self.filter.path.tail(block, self.noise_sd)
+            self._tails.append(tail)
+            found = self.filter.append(tail)
             if found is not None:
                 self._see_innovation(found)
         if self._is_due(block):
@@ -237,7 +239,7 @@ class PlacePosterior:
             return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
         time, depth = self._laid_at
         assert self.filter is not None
-        if self._press.middles.size >= _MOST:
+        if self._cells >= _MOST:
             return True
         if elapsed - time < _ROUND_TIME:
             return False
@@ -266,6 +268,12 @@ class PlacePosterior:
         off = nodes - mean
         return mean, (off * weights[:, None]).T @ off
 
+    @property
+    def _cells(self) -> int:
+        """Cells of the press by now."""
+        assert self._press is not None
+        return self._press.middles.size + sum(tail.middles.size for tail in self._tails)
+
     # Laying
 
     def _law(self, press: Press | None) -> Law:
@@ -285,13 +293,14 @@ class PlacePosterior:
 
     def _lay(self, *, most: int = _GATHERED) -> None:
         """Lay one round of the record by now."""
-        press = self._press
-        if press is None or press.middles.size >= _MOST or most != _GATHERED:
+        if self._press is None or self._cells >= _MOST or most != _GATHERED:
             blocks = self._observed()
             if len(blocks) < _LEAST_BLOCKS:
                 return
-            press = gathered(blocks, self.noise_sd, most)
-        self._press = press.remembered()
+            self._press = gathered(blocks, self.noise_sd, most)
+        else:
+            self._press = self._press.appended(self._tails).remembered()
+        self._tails.clear()
         law = self._law(self._press)
         if self.filter is not None and law.last_knot != self.filter.grid.law.last_knot:
             self._start = None  # its errors have other knots

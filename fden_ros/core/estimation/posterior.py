@@ -37,25 +37,17 @@ class Posterior:
     nodes: Array  #: those that count, (M,)
     weights: Array  #: they add up to 1, (M,)
     stiffness: Stiffness  #: of these
-    rows: Array  #: y of these, whitened, less their mean response, (N, M)
-    responses: Array  #: whitened, times G, (N, M)
-    known: Array  #: X P, whitened, (N, k)
+    top: Indices  #: their places among those of the grid, (M,)
     state: Filter  #: as it was
 
     @classmethod
     def of(cls, state: Filter) -> Posterior:
         """Return the posterior of a filter by now."""
-        grid, weights, n = state.grid, state.weights, state.count
+        grid, weights = state.grid, state.weights
         top = np.flatnonzero(weights > _LEAST * weights.max())
         stiffness = Stiffness(*(values[top] for values in state.stiffness))
-        heads = grid.cells.y.shape[1]
-        k = heads + grid.law.size
-        white = state.white[:n]
-        own = white[:, :1] + white[:, 1:heads] @ grid.cells.off[top].T
-        responses = white[:, k + top] * np.exp(stiffness.log_g)
         share = weights[top] / weights[top].sum()
-        return cls(grid, grid.nodes[top], share, stiffness, own - responses, responses,
-                   white[:, heads:k], copy.copy(state))  # fmt: skip
+        return cls(grid, grid.nodes[top], share, stiffness, top, copy.copy(state))
 
     @functools.cached_property
     def moments(self) -> tuple[Array, Array]:
@@ -85,38 +77,25 @@ class Posterior:
         return found
 
     def components(self, most: int) -> tuple[Component, ...]:
-        """Return at most `most`, a power of 2, Gaussians of (ln G, ln Gn, alpha).
+        """Return at most `most` Gaussians of (ln G, ln Gn, alpha).
 
-        They reproduce mean and covariance. The nodes are halved by weight along the axis in which
+        They reproduce mean and covariance. The nodes are parted by weight along the axis in which
         they are widest.
         """
-        values = self._values[:, self._order[:3]]
-        groups: list[Indices] = [np.arange(len(values))]
-        unit = np.sqrt(np.maximum(np.diag(self.tissue[1])[:3], 1e-30))
-        while len(groups) < most:
-            groups = [half for group in groups for half in self._halves(values / unit, group)]
-            if all(group.size < 2 for group in groups):
-                break
+        values, covariance = self._values[:, self._order[:3]], self.tissue[1][:3, :3]
+        unit = np.sqrt(np.maximum(covariance.diagonal(), 1e-30))
+        axis = np.linalg.eigh(covariance / np.outer(unit, unit))[1][:, -1]
+        order = np.argsort(values @ (axis / unit), kind="stable")
+        weights = self.weights[order]
+        part = ((np.cumsum(weights) - 0.5 * weights) * most).astype(np.intp)
         found = []
-        for group in groups:
+        for group in np.split(order, np.flatnonzero(np.diff(part)) + 1):
             weight = float(self.weights[group].sum())
-            mean, covariance = _moments(
+            mean, own = _moments(
                 values[group], self.weights[group] / weight, self.stiffness.variance[group]
             )
-            found.append(Component(weight, mean, self._with_thickness(covariance)))
+            found.append(Component(weight, mean, self._with_thickness(own)))
         return tuple(found)
-
-    def _halves(self, values: Array, group: Indices) -> list[Indices]:
-        own, weights = values[group], self.weights[group]
-        if group.size < 2:
-            return [group]
-        middle = weights @ own / weights.sum()
-        spread = ((own - middle) * weights[:, None]).T @ (own - middle)
-        place = own @ np.linalg.eigh(spread)[1][:, -1]
-        order = np.argsort(place, kind="stable")
-        reached = np.cumsum(weights[order]) / weights.sum()
-        cut = min(max(int(np.searchsorted(reached, 0.5)) + 1, 1), group.size - 1)
-        return [group[order[:cut]], group[order[cut:]]]
 
     def probability_beyond(self, deepest: float) -> float:
         """Return P(largest strain > 1/Gn) [1]; `deepest`: the largest indentation [1]."""
@@ -128,9 +107,24 @@ class Posterior:
         return float(self.weights @ ndtr(reach / max(width, 1e-9)))
 
     @functools.cached_property
+    def by_response(self) -> Array:
+        """What a response that is larger by a factor e would take from the unknowns z, (k, M)."""
+        heads = self.grid.cells.y.shape[1]
+        responses = self.state.products[:, heads + self.grid.law.size + self.top]
+        return np.asarray(responses * np.exp(self.stiffness.log_g))
+
+    @property
+    def known(self) -> Array:
+        """By how much less than before the covariance of the unknowns is at a given G, (k, k)."""
+        heads = self.grid.cells.y.shape[1]
+        return self.state.products[:, heads : heads + self.grid.law.size]
+
+    @functools.cached_property
     def states(self) -> Array:
         """The unknowns z of each node given all data, (k, M)."""
-        return np.asarray(self.known.T @ self.rows)
+        cells, products = self.grid.cells, self.state.products
+        own = products[:, :1] + products[:, 1 : cells.y.shape[1]] @ cells.off[self.top].T
+        return np.asarray(own - self.by_response)
 
     def law_error(self, elapsed: float, deepest: float) -> LawError | None:
         """Return how far the data bend the law; None: it is said to be exact.
@@ -147,7 +141,7 @@ class Posterior:
             return None
         state = self.states @ self.weights
         off = (self.states - state[:, None]) * np.sqrt(self.weights)
-        covariance = grid.prior - self.known.T @ self.known
+        covariance = grid.prior - self.known
         covariance += off @ off.T
         mean, _ = self.tissue
         # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
@@ -182,7 +176,7 @@ class Posterior:
         first = law.size - len(law.slots)
         for k, (one, _) in enumerate(law.slots, first):
             if one.has_tails:
-                told = min(max(float(self.known[:, k] @ self.known[:, k]), 0.01), 1.0)
+                told = min(max(float(self.known[k, k]), 0.01), 1.0)
                 off = max(off, abs(float(self.states[k] @ self.weights)) / math.sqrt(told))
         return off
 

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, RIG, splines
+from fden_ros.core.estimation.discrepancy import KERNEL, KERNEL_HATS, RIG, spline_parts
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.law import left_after
 
@@ -88,23 +88,21 @@ class SmallMotion:
             tau [s].
         """
         posterior, law = self.posterior, self.posterior.grid.law
-        state = posterior.states
-        yielding = self._yielding(1.0)
-        bends = -stress * yielding
-        u = compression + self.shift - posterior.nodes[:, -1] + bends @ state
-        values, row = self._of_curve(u, state)
-        if bends.any():
-            ahead, _ = self._of_curve(u + _STEP, state)
-            row += bends[:, None] * (ahead - values) / _STEP
-        nodes = posterior.nodes
+        nodes, state = posterior.nodes, posterior.states
+        compliance = self._compliance
+        yielding = sum(sd * state[k] for k, sd in compliance)
+        u = compression + self.shift - nodes[:, -1] - stress * yielding
+        values, row = self._of_curve(np.append(u, u + _STEP) if compliance else u, state)
+        values, ahead = values[: u.size], values[u.size :]
+        for k, sd in compliance:
+            row[k] -= stress * sd * (ahead - values) / _STEP
         rates = law.weights(nodes) * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
         rates *= left_after(time_scale)[:, None]
         total = rates.sum(axis=0)
         row[KERNEL] = KERNEL_HATS.T @ (rates / total)
         values = values + np.log(total) + posterior.stiffness.log_g
         # Of the tissue's indentation in that of both.
-        tool = np.exp(values) * (yielding @ state)
-        values = values - np.log(np.maximum(1.0 + tool, 1e-3))
+        values = values - np.log(np.maximum(1.0 + np.exp(values) * yielding, 1e-3))
         values -= math.log(law.geometry.stress_per_force * law.geometry.length)
         return LogStiffnesses(self.weight * posterior.weights, values, self._variances(row))
 
@@ -121,40 +119,36 @@ class SmallMotion:
         mean, variance = self.posterior.state.ahead(self.now + times, indentations + self.shift)
         return mean, self.variance_factor * variance
 
-    def _yielding(self, stress: float) -> Array:
-        """Return what the unknowns take from the indentation at a stress [Pa], (k,) [1]."""
-        law = self.posterior.grid.law
-        found = np.zeros(law.size)
-        for k, (one, _) in enumerate(law.slots, RIG):
-            if one.name == "compliance":
-                found[k] = stress * one.sd
-        return found
+    @property
+    def _compliance(self) -> list[tuple[int, float]]:
+        """The place in a state of what yields, and its standard deviation by the stress [1/Pa]."""
+        slots = enumerate(self.posterior.grid.law.slots, RIG)
+        return [(k, one.sd) for k, (one, _) in slots if one.name == "compliance"]
 
     def _of_curve(self, u: Array, state: Array) -> tuple[Array, Array]:
-        """Return ln (psi' x') for G = 1 at indentations (M,), and its derivatives by state."""
-        law, log_gn = (
-            self.posterior.grid.law,
-            self.posterior.nodes[:, self.posterior.grid.law.kernels],
-        )
+        """Return ln (psi' x') for G = 1 at indentations, and its derivatives by state.
+
+        The indentations are one of each node, (M,), or more such rows behind; the derivatives,
+        (k, M), are those of the first row.
+        """
+        law, nodes = self.posterior.grid.law, self.posterior.nodes
+        log_gn = np.resize(nodes[:, law.kernels], u.size)
         strain, by_u = law.strain(np.maximum(u, 1e-6))
-        near = np.concatenate([strain, strain + _STEP])
-        basis, ahead = splines(near, law.last_knot).reshape(2, strain.size, -1)
-        tilt = (ahead - basis) / _STEP
-        bend = np.clip(state[CURVE], -8.0, 8.0)
+        at, basis, tilt = spline_parts(strain, law.last_knot)
+        node = np.arange(u.size) % len(nodes)
+        bend = np.minimum(np.maximum(state[at, node], -8.0), 8.0)
         value, slope = law.shape(strain, log_gn), law.slope(strain, log_gn)
-        own = np.einsum("mk,km->m", tilt, bend) * value
-        whole = np.maximum(slope + own, _LEAST_SLOPE * slope)
-        row = np.zeros_like(state)
-        row[CURVE] = (basis + (value / whole)[:, None] * tilt).T
-        return np.log(whole * by_u) + np.einsum("mk,km->m", basis, bend), row
+        whole = np.maximum(slope + (tilt * bend).sum(axis=0) * value, _LEAST_SLOPE * slope)
+        row, m = np.zeros_like(state), len(nodes)
+        row[at[:, :m], node[:m]] = (basis + value / whole * tilt)[:, :m]
+        return np.log(whole * by_u) + (basis * bend).sum(axis=0), row
 
     def _variances(self, row: Array) -> Array:
         """Return the variances of ln k whose derivatives by the state are given, (k, M)."""
         posterior = self.posterior
         grid = posterior.grid
-        known = posterior.known @ row
-        left = np.einsum("km,km->m", row, grid.prior @ row) - np.einsum("nm,nm->m", known, known)
-        by_g = 1.0 - np.einsum("nm,nm->m", known, posterior.responses)
+        left = np.einsum("km,km->m", row, (grid.prior - posterior.known) @ row)
+        by_g = 1.0 - np.einsum("km,km->m", row, posterior.by_response)
         found = np.maximum(left, 0.0) + by_g**2 * posterior.stiffness.variance
         return np.asarray(self.variance_factor * found + self.unseen)
 
