@@ -57,6 +57,7 @@ class Press:
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
     #: of the first cells and points alone until it is :meth:`remembered`.
     memory: Array
+    spot: int = 0  #: presses of one spot meet the free surface that those before have left
     #: Of a tail: the indentations at points before it, as far as it depends on them [1].
     earlier: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -337,6 +338,10 @@ class Place:
     def joined(self, name: str) -> Array:
         """Return an array of all presses."""
         return np.concatenate([getattr(press, name) for press in self.presses])
+
+    def is_new_spot(self, press: int) -> bool:
+        """Whether a press, by its number, is of another spot than the one before it."""
+        return press > 0 and self.presses[press].spot != self.presses[press - 1].spot
 
     @property
     def point_slices(self) -> list[slice]:

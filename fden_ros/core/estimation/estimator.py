@@ -3,16 +3,17 @@
 
 """The estimator of one site: samples in, estimates out.
 
-Where nothing says whether a touch is of the same place as the one before, there are two records:
-one goes on, one begins. Both take the samples, and the evidence of these weighs them. What is
-published is their mixture, until one has odds of 20 to 1.
+Where nothing says whether a touch is of the same place as the one before, there are three records:
+one continues at the same spot, one at another spot of the same tissue, and one begins. All take
+the samples, and the evidence of these weighs them. What is published is their mixture, until one
+has odds of 20 to 1.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,12 +32,12 @@ from fden_ros.core.law import Geometry
 #: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
 #: discrepancy of the law [1]: on a ramp only the curve is.
 _UNSEEN = 0.5
-#: Odds at which a place is dropped [1].
-_ODDS = 20.0
+#: Odds at which a place is dropped at the end of a press, and within it [1].
+_ODDS, _FAR = 20.0, 3000.0
+#: Hypotheses of the press before that go on [1].
+_CONTINUED = 2
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
-#: Standard deviations of (ln G, ln Gn, alpha) between similar tissue of two places [1].
-_SIMILAR = np.array([0.3, 0.15, 0.04])
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
 #: than this [1].
 _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
@@ -49,13 +50,13 @@ class _Hypothesis:
     """A place that may be the one that is touched."""
 
     place: PlacePosterior
-    log_prior: float = 0.0
+    log_prior: float = 0.0  #: before the press that is open, or the last
     shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
-    base: float = 0.0  #: log evidence of its record before the touch
+    base: float = 0.0  #: log evidence of its record before this counts
 
     @property
     def log_weight(self) -> float:
-        """Of the press that is open, or the last."""
+        """Of it by now, as a logarithm."""
         return self.log_prior + self.place.log_evidence - self.base
 
 
@@ -111,16 +112,21 @@ class GridEstimator(Estimator):
             the surface: that noise may hide it makes a new place no less likely.
         """
         self._now = other._now
-        before = max(other._hypotheses, key=lambda one: one.log_weight)
-        if before.place.filter is None:
+        known = [one for one in other._hypotheses if one.place.filter is not None]
+        if not known:
             return
-        noise_sd = before.place.noise_sd
-        similar = replace(self._setting, config=_similar(self._setting.config, other.estimate()))
+        known.sort(key=lambda one: -one.log_weight)
+        own_sd, best = self._setting.contact_point_sd, known[0]
         self._hypotheses = [
-            _Hypothesis(before.place.continued(), math.log(2.0), before.shift + shift),
-            _Hypothesis(PlacePosterior(self._setting, noise_sd), log_wider),
-            _Hypothesis(PlacePosterior(similar, noise_sd), log_wider),
+            _Hypothesis(PlacePosterior(self._setting, best.place.noise_sd), log_wider)
         ]
+        for one in known[:_CONTINUED]:
+            log_weight, base = one.log_weight - best.log_weight, one.place.log_evidence
+            same, elsewhere = one.place.continued(), one.place.continued(own_sd)
+            self._hypotheses += [
+                _Hypothesis(same, log_weight + math.log(2.0), one.shift + shift, base),
+                _Hypothesis(elsewhere, log_weight + log_wider, base=base),
+            ]
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
@@ -128,7 +134,7 @@ class GridEstimator(Estimator):
         # Evidences compare where the records are of the same data.
         reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
-            one.base = one.place.log_evidence
+            one.log_prior, one.base = one.log_weight, one.place.log_evidence
             approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
             own = onset._replace(approach=approach)
             one.place.touch(own, self._now, reach - one.shift if one.place.reach else 0.0)
@@ -158,22 +164,23 @@ class GridEstimator(Estimator):
             for one in self._hypotheses:
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
         self._count += len(times)
+        self._hypotheses = self._possible(_FAR)
         return self.estimate()
 
     def release(self) -> Estimate:
         """End the press; return the estimate."""
         for one in self._hypotheses:
             one.place.release()
-        self._hypotheses = self._possible()
+        self._hypotheses = self._possible(_ODDS)
         return self.estimate()._replace(components=_components(self._parts()))
 
-    def _possible(self) -> list[_Hypothesis]:
-        """Return the places that are not far less likely than a settled one.
+    def _possible(self, odds: float) -> list[_Hypothesis]:
+        """Return the places that are not less likely than a settled one by these odds.
 
         One that is not settled may be likelier than it seems.
         """
         settled = [one.log_weight for one in self._hypotheses if one.place.is_settled]
-        least = max(settled, default=-math.inf) - math.log(_ODDS)
+        least = max(settled, default=-math.inf) - math.log(odds)
         return [
             one
             for one in self._hypotheses
@@ -295,7 +302,7 @@ class GridEstimator(Estimator):
             known &= part.claims.known
             at_edge |= part.claims.at_edge
         known &= converged(config, sds[:3], observable)
-        is_solved = all(one.place.is_settled for one in self._possible())
+        is_solved = all(one.place.is_settled for one in self._possible(_ODDS))
         if not is_solved or self.is_changed:
             known = ParameterSet.NONE
         best = max(parts, key=lambda part: part.weight)
@@ -348,23 +355,6 @@ def _contradicts_order(prior: Prior, error: LawError | None) -> bool:
         return False
     both = math.hypot(prior.fractional_order_sd, max(error.order_sd, _LEAST_ORDER_SD))
     return abs(error.order - prior.fractional_order) > _CONTRADICTION * both
-
-
-def _similar(config: EstimatorConfig, estimate: Estimate) -> EstimatorConfig:
-    """Return what is known of tissue that is similar to one that is estimated."""
-    sds = np.hypot(estimate.deviations, _SIMILAR)
-    sds = np.minimum(sds, config.prior.deviations).tolist()
-    mean = estimate.mean
-    prior = replace(
-        config.prior,
-        linear_stiffness=math.exp(mean[0]),
-        nonlinear_stiffness=math.exp(mean[1]),
-        fractional_order=float(mean[2]),
-        linear_stiffness_log_sd=sds[0],
-        nonlinear_stiffness_log_sd=sds[1],
-        fractional_order_sd=sds[2],
-    )
-    return replace(config, prior=prior)
 
 
 def _components(parts: Sequence[_Part]) -> tuple[Component, ...]:

@@ -371,6 +371,7 @@ def continued(law: Law, grid: Grid, mean: Array, covariance: Array, log_evidence
     """
     about, d = grid.after.about, mean.size
     state, by_theta = about.state, about.by_theta
+    state, by_theta = state[: law.size], by_theta[: law.size]
     more = law.size - state.size
     state, by_theta = np.pad(state, (0, more)), np.pad(by_theta, ((0, more), (0, 0)))
     if law.last_knot != grid.law.last_knot:
@@ -628,8 +629,10 @@ def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -
         square, both = float(white[:, 1] @ white[:, 1]), float(white[:, 0] @ white[:, 1])
         cost = float(white[:, 0] @ white[:, 0]) - max(both, 0.0) ** 2 / max(square, 1e-300)
         cost += sum(float(np.sum((own @ state[places]) ** 2)) for places, own in inverse)
-        g = max(both, 1e-9 * square, 1e-300) / max(square, 1e-300)
-        return cost, replace(tried, log_g=math.log(g)), g * response
+        log_g = math.log(max(both, 1e-9 * square, 1e-300) / max(square, 1e-300))
+        # A record that the law cannot describe would have no stress but by an endless G.
+        log_g = min(max(log_g, wanted.log_g - 1.0), wanted.log_g + 1.0)
+        return cost, replace(tried, log_g=log_g), math.exp(log_g) * response
 
     first = at(0.0)[0]
     for part in (1.0, 0.5, 0.25, 0.1, 0.03):

@@ -126,9 +126,8 @@ class _Past:
     is_pressed: bool
 
     @classmethod
-    def of(cls, law: Law, about: Expansion, size: int) -> _Past:
+    def of(cls, law: Law, about: Expansion, size: int, older: Array) -> _Past:
         """Return that of the presses that are no part of the record, of which G is the leading."""
-        older = law.place.older
         nodes = np.outer(older * math.exp(-about.log_g), np.ones(size))
         changes = np.zeros((older.size, law.size))
         return cls(law.place.older_end, nodes, older, changes, bool(older.any()))
@@ -211,11 +210,29 @@ class Law:
     # What another law has otherwise
 
     @functools.cached_property
-    def slots(self) -> list[tuple[Nuisance, int | None]]:
-        """The rig's places in a state: nuisances, and the press of which one is; None: of all."""
-        shared = [(one, None) for one in self.rig.nuisances if not one.is_per_press]
-        own = [one for one in self.rig.nuisances if one.is_per_press]
-        return shared + [(one, q) for q in range(len(self.place.presses)) for one in own]
+    def slots(self) -> list[tuple[Nuisance, tuple[int, ...]]]:
+        """The rig's places in a state: nuisances, and the presses of which one is."""
+        every, spots = tuple(range(len(self.place.presses))), [p.spot for p in self.place.presses]
+        found = [(one, every) for one in self.rig.nuisances if not one.is_per_press]
+        for q, spot in enumerate(spots):
+            found += [(one, (q,)) for one in self.rig.nuisances if one.is_per_press]
+            if self.place.is_new_spot(q):
+                of_spot = tuple(k for k, own in enumerate(spots) if own == spot)
+                found += [(one, of_spot) for one in self.rig.spots[spot]]
+        return found
+
+    @property
+    def of_spot(self) -> tuple[int, int] | None:
+        """The places in a state of what the newest spot has otherwise: G, and its contact point.
+
+        None: it is the first spot.
+        """
+        press = self.place.presses[-1]
+        if press.spot == self.place.presses[0].spot:
+            return None
+        stiffness, contact_point = self.rig.spots[press.spot]
+        own = [one for one, _ in self.slots]
+        return RIG + own.index(stiffness), RIG + own.index(contact_point)
 
     @property
     def size(self) -> int:
@@ -282,6 +299,14 @@ class Law:
         found = self.geometry.strains(u)
         return found.values, found.slopes
 
+    def indentations(self, press: Press, contact_points: Array) -> Array:
+        """Return the indentations of points from contact points (M,), as measured, (n, M).
+
+        The contact point of another spot is one of the unknowns that move the points.
+        """
+        is_first = press.spot == self.place.presses[0].spot
+        return np.asarray(press.indentations[:, None] - is_first * contact_points)
+
     @functools.cached_property
     def moving(self) -> list[int]:
         """The places in a state of what moves points."""
@@ -294,8 +319,10 @@ class Law:
         )
         found = np.empty((press.times.size, len(self.moving)))
         for j, k in enumerate(self.moving):
+            one, presses = self.slots[k - RIG]
             own = motion._replace(size=float(about.state[k]))
-            found[:, j] = self.slots[k - RIG][0].column(own)
+            is_own = press.spot in {self.place.presses[q].spot for q in presses}
+            found[:, j] = one.column(own) if is_own else 0.0
         return found
 
     def at_nodes(self, about: Expansion, nodes: Array) -> AtNodes:
@@ -306,9 +333,7 @@ class Law:
     def drive(self, press: Press, stresses: Array, at: AtNodes, free: Free | None) -> Drive:
         """Return what drives points of a press; `stresses`: there, by the model [Pa]."""
         moves = self.moves(press, stresses, at.about)
-        strain, by_u = self.strain(
-            press.indentations[:, None] - at.nodes[:, -1] + moves @ at.moving
-        )
+        strain, by_u = self.strain(self.indentations(press, at.nodes[:, -1]) + moves @ at.moving)
         n, lead_strain = press.times.size, strain[:, 0]
         near = np.concatenate([lead_strain, np.abs(lead_strain) + 1e-4])
         basis, ahead = splines(near, self.last_knot).reshape(2, n, -1)
@@ -365,13 +390,16 @@ class Law:
         back = self.creep(node)[:, 0] * np.exp(-error[:-1])
         past, end = place.older * math.exp(-about.log_g), place.older_end
         found: list[Array] = []
-        for press, points in zip(place.presses, place.point_slices, strict=True):
-            moved = self.moves(press, about.stresses[points], about) @ moving
-            strain = self.strain(press.indentations - about.theta[-1] + moved)[0]
+        for q, (press, points) in enumerate(zip(place.presses, place.point_slices, strict=True)):
+            moved = self.indentations(press, about.theta[-1:])[:, 0]
+            moved += self.moves(press, about.stresses[points], about) @ moving
+            strain = self.strain(moved)[0]
             psi = self.shape(strain, about.theta[self.kernels])
             if bend.any():
                 psi *= np.exp(splines(strain, self.last_knot) @ bend)
-            if found or past.any():
+            if place.is_new_spot(q):
+                past = np.zeros_like(past)
+            if past.any():
                 psi = np.maximum(psi - _left_of(end, press) @ (back * past), 0.0)
             found.append(weights @ (press.memory @ np.diff(psi, prepend=0.0)))
             if len(found) < len(place.presses):
@@ -389,11 +417,14 @@ class Law:
         sizes = [press.middles.size for press in self.place.presses]
         found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
         stresses, loads, gains, steepest = np.zeros((4, sum(sizes)))
-        past, at = _Past.of(self, about, len(nodes)), self.at_nodes(about, nodes)
+        past = _Past.of(self, about, len(nodes), self.place.older)
+        at = self.at_nodes(about, nodes)
         free = None
         slices = zip(self.place.point_slices, self.place.cell_slices, strict=True)
         for q, (press, (points, cells)) in enumerate(zip(self.place.presses, slices, strict=True)):
-            if past.is_pressed:
+            if self.place.is_new_spot(q):
+                past, free = _Past.of(self, about, len(nodes), 0.0 * self.place.older), None
+            elif past.is_pressed:
                 free = past.free(back, which)
             drive = self.drive(press, about.stresses[points], at, free)
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
@@ -406,19 +437,21 @@ class Law:
             columns[cells] = kernels[0] @ np.diff(drive.changes, axis=0, prepend=0.0)
             if self.has_kernel_error:
                 columns[cells, KERNEL] += (weights[:, :1] * (press.memory @ rise)).T @ KERNEL_HATS
-            self.add_stress_columns(press, q, columns[cells])
             stresses[cells] = kernels[0] @ rise
+            self.add_stress_columns(press, q, stresses[cells], columns[cells])
             loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
             if q + 1 < len(sizes):
                 past = past.after(press, found[cells], stresses[cells], columns[cells])
         linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights, at)
         return found, linear
 
-    def add_stress_columns(self, press: Press, number: int, columns: Array) -> None:
+    def add_stress_columns(
+        self, press: Press, number: int, stresses: Array, columns: Array
+    ) -> None:
         """Add what changes the stress of a press directly to the columns of its cells."""
-        motion = mean_motion(press)
-        for k, (one, own) in enumerate(self.slots, RIG):
-            if not one.moves and own in (None, number):
+        motion = mean_motion(press, stresses)
+        for k, (one, presses) in enumerate(self.slots, RIG):
+            if not one.moves and number in presses:
                 columns[:, k] = one.column(motion)
 
     def stressed(self, about: Expansion) -> Expansion:
@@ -438,11 +471,11 @@ class Law:
         return replace(about, stresses=np.concatenate(found))
 
 
-def mean_motion(press: Press) -> Motion:
+def mean_motion(press: Press, stresses: Array) -> Motion:
     """Return the mean motion over the cells of a press."""
     first, last = press.first, press.last
     speeds, indentations = (0.5 * (v[first] + v[last]) for v in (press.speeds, press.indentations))
-    return Motion(press.middles - press.start, indentations, speeds, press.stresses)
+    return Motion(press.middles - press.start, indentations, speeds, stresses)
 
 
 def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:

@@ -9,9 +9,10 @@ To add one, add its standard deviation to the configuration and an object to :fu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from fden_ros.core.law import Geometry
 
 #: Speed at which friction has half of its square [m/s]: below is a hold.
 _FRICTION_SPEED = 5e-4
+#: Relative standard deviation of G between two spots of one tissue [1].
+_SPOT = 0.3
 
 
 class Motion(NamedTuple):
@@ -79,10 +82,11 @@ class Walk:
 
 
 class Rig(NamedTuple):
-    """All that is not known of the rig."""
+    """All that is not known of the rig, and of other spots of a place by their number."""
 
     nuisances: tuple[Nuisance, ...]
     walks: tuple[Walk, ...]
+    spots: Mapping[int, tuple[Nuisance, ...]] = MappingProxyType({})
 
 
 def _compliance(sd: float, motion: Motion) -> Array:
@@ -101,6 +105,23 @@ def _backlash(sd: float, motion: Motion) -> Array:
         at = min(max(at, place), place + size * sd)
         tip[k] = at
     return (tip - path)[motion.earlier.size :] / size
+
+
+def _stiffness(sd: float, motion: Motion) -> Array:
+    return sd * motion.stresses
+
+
+def _contact_point(sd: float, motion: Motion) -> Array:
+    return np.full(motion.indentations.shape, -sd)
+
+
+def spot_of(contact_point_sd: float) -> tuple[Nuisance, ...]:
+    """Return what is not known of another spot of the same tissue: its contact point, and G."""
+    stiffness, point = partial(_stiffness, _SPOT), partial(_contact_point, contact_point_sd)
+    return (
+        Nuisance("stiffness", _SPOT, stiffness, False, "law"),
+        Nuisance("contact point", contact_point_sd, point, True, "surface"),
+    )
 
 
 def _friction(sd: float, length: float, motion: Motion) -> Array:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from fden_ros.core.estimation.grid import (
     solve,
 )
 from fden_ros.core.estimation.law import Law
-from fden_ros.core.estimation.nuisance import rig_of
+from fden_ros.core.estimation.nuisance import Nuisance, rig_of, spot_of
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.record import LINE_TOLERANCE, Block, Record
 from fden_ros.core.estimation.rival import Rival
@@ -49,7 +49,8 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: Rounds at the end of a press [1]; least time between two rounds [s].
+#: Rounds until the record has grown again, and at the end of a press [1]; least time between two
+#: rounds [s].
 _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and at its end: scales that were small are left only where the columns are those of
@@ -110,6 +111,8 @@ class PlacePosterior:
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
         self._rival = Rival()
+        self._spots: dict[int, tuple[Nuisance, ...]] = {}
+        self._spot = 0  #: where the press is
 
     @property
     def presses(self) -> int:
@@ -136,10 +139,17 @@ class PlacePosterior:
         """Probability that the relaxation has a plateau [1]; NaN: it was not asked for."""
         return self._rival.probability
 
-    def continued(self) -> PlacePosterior:
-        """Return a copy, for a press that may be of this place."""
+    def continued(self, contact_point_sd: float | None = None) -> PlacePosterior:
+        """Return a copy, for a press that may be of this place.
+
+        `contact_point_sd`: it may be of another spot of this tissue, whose contact point has this
+        standard deviation [1]; None: of the same spot.
+        """
         found = copy.copy(self)
         found._ended, found._rival = list(self._ended), copy.copy(self._rival)
+        if contact_point_sd is not None:
+            found._spot = max([*self._spots, 0]) + 1
+            found._spots = self._spots | {found._spot: spot_of(contact_point_sd)}
         return found
 
     @property
@@ -229,7 +239,7 @@ class PlacePosterior:
         """Whether a round is to be laid.
 
         As the record has grown, or the nodes have moved out of the middle of their box; the
-        second and all further rounds of a grid that is not settled after a few blocks.
+        second and further rounds of a grid that is not settled after a few blocks.
         """
         record, elapsed = self._record, block.middle - self._began
         assert record is not None
@@ -245,11 +255,13 @@ class PlacePosterior:
             return False
         if self._beyond:
             return False
-        if not self.filter.grid.is_settled:
+        grid = self.filter.grid
+        is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
+        if not grid.is_settled and not is_given_up:
             return True
         if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
             return True
-        return self._has_moved()
+        return not is_given_up and self._has_moved()
 
     def _has_moved(self) -> bool:
         assert self.filter is not None
@@ -282,6 +294,7 @@ class PlacePosterior:
         presses = tuple(self._ended) + ((press,) if press is not None else ())
         place = Place(presses, self._older, self._older_end or presses[0].start)
         rig = rig_of(setting.config, setting.geometry, self._touch.bias_sd, self._touch.drift_sd)
+        rig = rig._replace(spots=self._spots)
         return Law.of(setting.config, setting.geometry, place, rig, setting.contact_point_sd)
 
     def _observed(self) -> list[Block]:
@@ -297,7 +310,7 @@ class PlacePosterior:
             blocks = self._observed()
             if len(blocks) < _LEAST_BLOCKS:
                 return
-            self._press = gathered(blocks, self.noise_sd, most)
+            self._press = replace(gathered(blocks, self.noise_sd, most), spot=self._spot)
         else:
             self._press = self._press.appended(self._tails).remembered()
         self._tails.clear()
@@ -368,6 +381,9 @@ class PlacePosterior:
     def _forget(self) -> None:
         """Keep of the oldest press what the tissue remembers."""
         press = self._ended.pop(0)
+        if self._ended[0].spot != press.spot:
+            self._older, self._older_end = np.zeros(CREEP_RATES.size), 0.0
+            return
         end = self._older_end or press.start
         decay = np.exp(-CREEP_RATES * (press.end - end))
         self._older = decay * self._older + press.into_moments @ np.maximum(press.stresses, 0.0)

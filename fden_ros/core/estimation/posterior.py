@@ -9,12 +9,13 @@ import copy
 import functools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, splines
+from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, RIG, splines
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import Grid, Stiffness, cholesky, open_of, solved
@@ -25,8 +26,19 @@ from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxatio
 _LEAST = 1e-3
 #: Places at which errors of the law are read off; the loaded part of the curve [1].
 _PLACES, _LOADED = 16, 0.7
+#: Another spot has at least this part of the first one's G [1].
+_LEAST_GAIN = 0.1
 #: Steps of theta for its derivatives, over its standard deviation [1].
 _STEP = 0.1
+
+
+class Spot(NamedTuple):
+    """ln G and the contact point where the newest press is, at the nodes."""
+
+    log_g: Array  #: (M,)
+    contact_point: Array  #: (M,)
+    by_state: Array  #: of both, by the unknowns, (2, k, M)
+    covariance: Array  #: of both, at each node, (2, 2, M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +64,36 @@ class Posterior:
     @functools.cached_property
     def moments(self) -> tuple[Array, Array]:
         """Mean and covariance of (ln G, theta)."""
-        return _moments(self._values, self.weights, self.stiffness.variance)
+        mean, covariance = _moments(self._values, self.weights, self.spot.covariance[0, 0])
+        _, across, contact_point = self.spot.covariance.reshape(4, -1)[1:] @ self.weights
+        covariance[[0, -1], [-1, 0]] += across
+        covariance[-1, -1] += contact_point
+        return mean, covariance
 
     @property
     def _values(self) -> Array:
-        return np.column_stack([self.stiffness.log_g, self.nodes])
+        return np.column_stack([self.spot.log_g, self.nodes[:, :-1], self.spot.contact_point])
+
+    @functools.cached_property
+    def spot(self) -> Spot:
+        """Where the newest press is: another spot has a G and a contact point of its own."""
+        law, log_g, contact_point = self.grid.law, self.stiffness.log_g, self.nodes[:, -1]
+        by_state = np.zeros((2, law.size, log_g.size))
+        covariance = np.zeros((2, 2, log_g.size))
+        if law.of_spot is None:
+            covariance[0, 0] = self.stiffness.variance
+            return Spot(log_g, contact_point, by_state, covariance)
+        at = list(law.of_spot)
+        stiffness, contact_point_sd = (law.slots[k - RIG][0].sd for k in at)
+        gain = np.maximum(1.0 + stiffness * self.states[at[0]], _LEAST_GAIN)
+        by_state[0, at[0]], by_state[1, at[1]] = stiffness / gain, contact_point_sd
+        rows, left = by_state[[0, 1], at], (self.grid.prior - self.known)[np.ix_(at, at)]
+        by_g = np.array([[1.0], [0.0]]) - rows * self.by_response[at]
+        covariance = np.einsum("im,ij,jm->ijm", rows, left, rows)
+        covariance += by_g[:, None] * by_g * self.stiffness.variance
+        return Spot(
+            log_g + np.log(gain), contact_point_sd * self.states[at[1]], by_state, covariance
+        )
 
     @property
     def _order(self) -> list[int]:
@@ -92,7 +129,7 @@ class Posterior:
         for group in np.split(order, np.flatnonzero(np.diff(part)) + 1):
             weight = float(self.weights[group].sum())
             mean, own = _moments(
-                values[group], self.weights[group] / weight, self.stiffness.variance[group]
+                values[group], self.weights[group] / weight, self.spot.covariance[0, 0, group]
             )
             found.append(Component(weight, mean, self._with_thickness(own)))
         return tuple(found)
@@ -100,7 +137,7 @@ class Posterior:
     def probability_beyond(self, deepest: float) -> float:
         """Return P(largest strain > 1/Gn) [1]; `deepest`: the largest indentation [1]."""
         law = self.grid.law
-        strain, _ = law.strain(deepest - self.nodes[:, -1])
+        strain, _ = law.strain(deepest - self.spot.contact_point)
         reach = np.log(np.maximum(strain, 1e-12)) + self.nodes[:, law.kernels]
         # Between the nodes it is smooth over the distance of two.
         width = self.grid.start.box.lower[law.kernels, law.kernels] / math.sqrt(12.0)
@@ -200,7 +237,7 @@ class Posterior:
             for name, part in grid.covariance.parts(scales).items()
         }
         own = (covariance**2 / sds**2).T
-        parts["surface"] = own[-1] if is_open[-1] else np.zeros(len(own))
+        parts["surface"] = parts.get("surface", 0.0) + own[-1] * is_open[-1]
         parts["prior"] = own[: len(own) - bool(is_open[-1])].sum(axis=0)
         now = np.diag(self.tissue[1])[:2] - law.config.uncertainty.thickness_sd**2
         factors = now / np.maximum(covariance.diagonal()[at], 1e-30)

@@ -88,19 +88,21 @@ class SmallMotion:
             tau [s].
         """
         posterior, law = self.posterior, self.posterior.grid.law
-        nodes, state = posterior.nodes, posterior.states
-        compliance = self._compliance
+        nodes, state, spot = posterior.nodes, posterior.states, posterior.spot
+        compliance, own = self._compliance, law.of_spot
         yielding = sum(sd * state[k] for k, sd in compliance)
-        u = compression + self.shift - nodes[:, -1] - stress * yielding
-        values, row = self._of_curve(np.append(u, u + _STEP) if compliance else u, state)
+        u = compression + self.shift - spot.contact_point - stress * yielding
+        values, row = self._of_curve(np.append(u, u + _STEP) if compliance or own else u, state)
         values, ahead = values[: u.size], values[u.size :]
         for k, sd in compliance:
             row[k] -= stress * sd * (ahead - values) / _STEP
+        if own is not None:
+            row += spot.by_state[0] - spot.by_state[1] * (ahead - values) / _STEP
         rates = law.weights(nodes) * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
         rates *= left_after(time_scale)[:, None]
         total = rates.sum(axis=0)
         row[KERNEL] = KERNEL_HATS.T @ (rates / total)
-        values = values + np.log(total) + posterior.stiffness.log_g
+        values = values + np.log(total) + spot.log_g
         # Of the tissue's indentation in that of both.
         values = values - np.log(np.maximum(1.0 + np.exp(values) * yielding, 1e-3))
         values -= math.log(law.geometry.stress_per_force * law.geometry.length)
