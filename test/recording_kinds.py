@@ -516,20 +516,10 @@ def bag_of(kind: str, folder: Path, messages: Messages) -> Path:
 #: Header stamps of the force by time of recording, and what is said of them.
 STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
     "zero": (lambda time_ns: 0, "120 of the first 120 header stamps of /force are 0"),
-    "still": (lambda time_ns: START, "only 1 of the first 120 header stamps of /force differ"),
     "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
-    "late by less than a second": (
-        lambda time_ns: time_ns - 400_000_000,
-        "/force are 0.4 s before its times of recording",
-    ),
     "whole seconds": (
         lambda time_ns: time_ns // 10**9 * 10**9,
         "only 2 of the first 120 header stamps of /force differ",
-    ),
-    "tenths": (lambda time_ns: time_ns // 10**8 * 10**8, "only 12 of the first 120"),
-    "zero at first": (
-        lambda time_ns: 0 if time_ns < START + 300_000_000 else time_ns,
-        "30 of the first 120 header stamps of /force are 0",
     ),
     "ahead": (lambda time_ns: time_ns + 3_000_000_000, "are -3 s before its times of recording"),
 }

@@ -54,16 +54,12 @@ def test_every_command_explains_itself(name, capsys):
 #: A command, its exit code, and words of the one line that says why.
 REFUSALS = [
     ("benchmark robots --cases frictio -o {tmp}", 1, "there is no case 'frictio'"),
-    ("benchmark exact --nonsense", 2, "see fden benchmark exact --help"),
-    ("monitor --nonsense", 2, "unrecognized arguments: --nonsense; see fden monitor --help"),
     ("monitor --duration 0", 2, "expected a number above 0, got '0'"),
     ("train nowhere -o {tmp}/l.yaml", 1, "which tissue is it? Write TISSUE=nowhere"),
     ("replay {tmp}/nowhere", 1, "does not exist"),
     ("replay {tmp}/press.csv", 1, "has time, force, depth"),
-    ("replay bag --force", 2, "give -o OUT too"),
     ("replay {pose} -o {pose} --force", 1, "the recording itself"),
     ("replay {pose} --force-topic /tool/wrench --force-field wrench.push", 1, "no push"),
-    ("replay {pose} --from-touch", 1, "is no table: --from-touch is for tables"),
     ("replay {pose} --diameter 50furlong", 2, "is not a size"),
     ("replay {pose} --diameter 5mm --area 1mm2", 2, "not allowed with"),
     ("replay http://127.0.0.1:1/press.mcap", 1, "http://127.0.0.1:1/press.mcap cannot be reached"),

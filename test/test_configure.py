@@ -143,7 +143,7 @@ def pressed(largest: float, noise: float, seed: int) -> Streams:
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.statistics)])
-@pytest.mark.parametrize("largest", [1e-3, 0.3, 35.0, 200.0])
+@pytest.mark.parametrize("largest", [1e-3, 200.0])
 def test_no_unit_of_a_force_is_asserted_from_sizes(largest, seed):
     for name, factor in FORCES.items():
         one = pressed(largest, (0.001, 0.015)[seed], seed)

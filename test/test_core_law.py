@@ -112,15 +112,6 @@ def test_hayes_factor_is_the_published_table(aspect_ratio):
     assert found == pytest.approx(HAYES_TABLE[aspect_ratio], rel=5e-3)
 
 
-@steady
-@given(modulus=st.floats(10.0, 1e6), radius=st.floats(1e-4, 0.1), share=st.floats(1e-3, 0.5))
-def test_sphere_recovers_the_modulus_of_hertz(modulus, radius, share):
-    sphere, depth = Sphere(radius), share * radius
-    force = 4.0 / 3.0 * modulus * math.sqrt(radius) * depth**1.5
-    ratio = force * sphere.stress_per_force / sphere.strain(depth / sphere.length)
-    assert ratio == pytest.approx(modulus, rel=1e-9)
-
-
 def test_sphere_keeps_the_memory_of_lee_and_radok():
     # F = 4/3 sqrt(R) E*(t) * d(delta^1.5) with the fractional E*(t) = G t^-alpha/Gamma(1-alpha):
     # for delta^1.5 growing linearly, F = 4/3 sqrt(R) G rate t^(1-alpha)/Gamma(2-alpha). Its
@@ -284,24 +275,6 @@ def test_dither_beyond_the_boundary_strain_gives_the_tangent():
 
     assert last.stiffness == pytest.approx(545.0 * math.exp(8.55 * 0.25 - 1.0), rel=5e-3)
     assert last.fractional_order == pytest.approx(0.131, abs=2e-3)
-
-
-def test_two_frequencies_at_once_are_told_apart():
-    meter = ComplexModulusMeter([1.0, 3.0], periods=3)
-    times = np.arange(0.0, 3.02, 0.01)
-    strain, stress = np.zeros((2, times.size)) + np.array([[0.1], [60.0]])
-    stress -= 3.0 * times
-    wanted = []
-    for frequency, amplitude in ((1.0, 0.01), (3.0, 0.004)):
-        omega = 2.0 * math.pi * frequency
-        truth = 400.0 * (1j * omega) ** 0.3
-        wanted.append(truth)
-        strain += amplitude * np.cos(omega * times)
-        stress += amplitude * (truth * np.exp(1j * omega * times)).real
-
-    found = moduli(meter, times, strain, stress)
-
-    assert [complex(m.storage, m.loss) for m in found] == pytest.approx(wanted, rel=1e-9)
 
 
 def test_slope_and_phase_are_told_apart_with_deviations():

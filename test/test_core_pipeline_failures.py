@@ -9,12 +9,11 @@ import itertools
 import math
 import pickle
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, assert_sound, outcome_of, shift, shift_recording, undisturbed
+from fault_helpers import Outcome, assert_sound, outcome_of, shift, undisturbed
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pipeline_helpers import Item, feed
@@ -26,7 +25,6 @@ from fden_ros.core.outputs import Flag, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import Synchronizer
 from fden_ros.parameters import check, pipeline_config
-from simulation.bag import write_recording
 
 # Whatever the computation raises ends one contact and its site; all else goes on
 
@@ -152,13 +150,6 @@ def test_what_a_listener_raises_is_not_caught():
     with pytest.raises(BrokenError, match="the listener's"):
         feed(pipeline, s.items)
     assert not pipeline.failures
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("shift") / "bag"
-    write_recording(shift_recording(), folder)
-    return folder
 
 
 # What holds for the pipeline whatever comes in: arbitrary and damaged streams (hypothesis)

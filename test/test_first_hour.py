@@ -199,23 +199,19 @@ def deviations(contact: dict[str, Any], truth: Truth) -> dict[str, float]:
     }
 
 
-def test_the_commands_lead_from_a_recording_to_numbers(tmp_path, capsys):
-    contacts, truth = identified(tmp_path / "one", "dVRK bag", 0, NOISES[1], capsys)
-    assert all(contact["converged"] for contact in contacts)
-    assert not any(contact["flags"] for contact in contacts)
-    for contact in contacts:
-        assert all(abs(error) < 5.0 for error in deviations(contact, truth).values())
-
-
 def test_the_commands_of_the_quick_start_lead_from_a_bag_to_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    recorded(tmp_path, "UR bag", 0, NOISES[1])[0].rename("press")
+    bag, truth = recorded(tmp_path, "UR bag", 0, NOISES[1])
+    bag.rename("press")
     page = PAGE.read_text(encoding="utf-8")
     (configure,) = re.findall(r"(?m)^ {4}fden (configure press .*--robot ur .*)$", page)
     for line in (configure, "replay press --config probe.yaml"):
         assert main(shlex.split(line, comments=True)) == 0, line
     assert_signs(tmp_path / "probe.yaml", "UR bag")
     assert capsys.readouterr().out.count(" converged ") == 2
+    for contact in answer(capsys, "replay", "press", "--config", "probe.yaml")["contacts"]:
+        assert not contact["flags"]
+        assert all(abs(error) < 5.0 for error in deviations(contact, truth).values())
 
 
 @pytest.mark.statistics

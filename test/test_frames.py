@@ -176,7 +176,7 @@ def by_messages(
 
 # The weight of a tool that turns
 
-MASS, CENTRE, GRAVITY = 0.3, (0.01, -0.02, 0.05), (0.0, 0.0, -9.80665)
+MASS, GRAVITY = 0.3, (0.0, 0.0, -9.80665)
 
 
 def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gives(still):

@@ -134,7 +134,7 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
 # Other tools
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
 @pytest.mark.parametrize(
     "options",
     [
@@ -178,7 +178,7 @@ def test_split_bag_is_one_stream_by_time(tmp_path):
 # Damage
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
 def test_a_file_cut_off_anywhere_gives_what_stands_before_the_cut(tmp_path, compression):
     whole = tmp_path / "whole.mcap"
     payloads = write_mcap(whole, range(200), compression=compression, chunk_size=3000)

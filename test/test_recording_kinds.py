@@ -159,14 +159,6 @@ def test_a_topic_without_messages_is_named_as_such(stream, empty, kind, tmp_path
             assert words in line and "damaged" not in line
 
 
-@pytest.mark.parametrize("name", ["/target_joints", "/joints"])
-def test_a_topic_that_is_only_commanded_is_said_to_be(name, tmp_path):
-    messages = [m._replace(topic=m.topic.replace("/joints", name)) for m in small()]
-    result = replay(bag_of("MCAP", tmp_path, messages), check({}))
-    said = f"{name} is commanded by its name, not measured" in result.warnings
-    assert (result.inputs["displacement"], said) == (name, name == "/target_joints")
-
-
 @pytest.mark.parametrize("names", [["probe"], ["probe", "wrist"]])
 def test_of_several_joints_it_is_said_which_one_is_taken(names, tmp_path):
     messages = [
@@ -211,12 +203,6 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
             read(bag)
     reading = read(bag, Selection(stamps="recording"))
     assert reading.streams.force_times.size == reading.streams.motion_times.size == 120
-
-
-def test_an_offset_that_all_topics_share_needs_nothing(tmp_path):
-    messages = [m._replace(log_time_ns=m.log_time_ns + 10**12) for m in small()]
-    result = replay(bag_of("sqlite3", tmp_path, messages), check({}))
-    assert not any("stamps" in warning for warning in result.warnings)
 
 
 # Numbers in arrays
