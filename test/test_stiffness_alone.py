@@ -27,18 +27,16 @@ CONFIG = """\
 """
 
 
-def pressed(deepest: float = 5.0, count: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, force and depth of presses of a spring, with 0.02 N of noise and a bias of 0.4 N."""
-    corners = [0, *(2 + 7 * k + t for k in range(count) for t in (0, 1.5, 3.5, 5))]
-    depths = [-3, *[0, deepest, deepest, -3] * count]
-    time = np.arange(0.0, corners[-1], 1.0 / RATE)
-    depth = 1e-3 * np.interp(time, corners, depths)
+def pressed() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, force and depth of a press of a spring, with 0.02 N of noise and a bias of 0.4 N."""
+    time = np.arange(0.0, 7.0, 1.0 / RATE)
+    depth = 1e-3 * np.interp(time, [0.0, 2.0, 3.5, 5.5, 7.0], [-3.0, 0.0, 1.5, 1.5, -3.0])
     return time, _spring(depth) + 0.4, depth
 
 
-def palpated(lowest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def palpated(lowest: float, end: float = 20.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same of strokes of 3 mm at 1.5 Hz, from a depth [m] that is the lowest."""
-    time = np.arange(0.0, 20.0, 1.0 / RATE)
+    time = np.arange(0.0, end, 1.0 / RATE)
     depth = lowest + 1.5e-3 * (1.0 - np.cos(2.0 * np.pi * 1.5 * time))
     return time, _spring(depth), depth
 
@@ -64,7 +62,7 @@ def config(tmp_path: Path) -> Path:
 def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_why(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
 ) -> None:
-    table = written(tmp_path / "spring.csv", pressed(deepest=1.5, count=2))
+    table = written(tmp_path / "spring.csv", pressed())
     # G of a spring is known to a fifth.
     config.write_text(CONFIG + "    converged: {log_g_sd: 0.1}\n")
     assert fden("replay", table, "--config", config) == 0
@@ -72,10 +70,10 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
     assert printed.err == ""
     words = " ".join(printed.out.split())
     assert "N/m known" in words
-    assert words.split("contact 2: ")[1].startswith("N/m is known; G and Gn are not known: ")
-    row = next(line for line in printed.out.splitlines() if line.startswith("2 "))
+    assert words.split("contact 1: ")[1].startswith("N/m is known; G and Gn are not known: ")
+    row = next(line for line in printed.out.splitlines() if line.startswith("1 "))
     assert row.split()[2].startswith(("(", "–"))
-    found = answer(capsys, "replay", table, "--config", config)["contacts"][1]
+    found = answer(capsys, "replay", table, "--config", config)["contacts"][0]
     for name in ("apparent_stiffness", "measured_slope"):
         assert abs(found[name] - SPRING) < 4.0 * found[f"{name}_sd"]
 
@@ -94,13 +92,13 @@ def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffne
     assert "1 stiffness" in " ".join(shown.split()) or "stiffness, cut short" in shown
 
 
-@pytest.mark.parametrize(("lowest", "is_told"), [(1e-3, True), (-1e-3, False)])
+@pytest.mark.parametrize(("lowest", "end", "is_told"), [(1e-3, 20.0, True), (-1e-3, 6.0, False)])
 def test_strokes_are_told_from_presses_once_and_while_they_come(
-    lowest: float, is_told: bool
+    lowest: float, end: float, is_told: bool
 ) -> None:
     pipeline, _ = begun(GEOMETRY)
     problems, said = PipelineProblems(pipeline), []
-    for number, _ in enumerate(fed(pipeline, *palpated(lowest))):
+    for number, _ in enumerate(fed(pipeline, *palpated(lowest, end))):
         if number % RATE == 0:
             said.append(any(REMEDY in words for words in problems.look().warnings))
     pipeline.finish()
