@@ -263,7 +263,7 @@ class Site(Standing):
     def force_ahead(self, times: Array, displacements: Array) -> tuple[Array, Array] | None:
         """Return mean and deviation of the force of a motion to come; None: it is not known."""
         estimate, geometry = self.live_estimate, self._config.geometry
-        if estimate is None or not estimate.small_motions:
+        if estimate is None or not estimate.small_motions or not estimate.is_settled:
             return None
         indentations = (displacements - self.origin) / geometry.length
         mean, variance = stress_ahead(estimate.small_motions, times, indentations)

@@ -54,9 +54,9 @@ def apparent_stiffness_of(
 ) -> ApparentStiffness | None:
     """Return N/m at an indentation ratio u [1] and stress [Pa] for a motion of `time` seconds.
 
-    None while it is not known to half of its value.
+    None while it is not known to half of its value, or the estimator has not settled.
     """
-    if estimate is None or u is None:
+    if estimate is None or u is None or not estimate.is_settled:
         return None
     if estimate.small_motions:
         found = log_stiffness(estimate.small_motions, u, stress, time)

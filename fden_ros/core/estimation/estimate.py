@@ -140,6 +140,8 @@ class Estimate(NamedTuple):
     #: Components of (ln G, ln Gn, alpha), whose moments the mean and `covariance` are; one: the
     #: posterior is a Gaussian. Empty: not known.
     components: tuple[Component, ...] = ()
+    #: Whether the estimator resolves its posterior; otherwise nothing is claimed, nor predicted.
+    is_settled: bool = True
     #: For the stiffness of a small motion: of each place that it may be; empty: not known.
     small_motions: tuple[SmallMotion, ...] = ()
 

@@ -302,8 +302,8 @@ class GridEstimator(Estimator):
             known &= part.claims.known
             at_edge |= part.claims.at_edge
         known &= converged(config, sds[:3], observable)
-        is_solved = all(one.place.is_settled for one in self._possible(_ODDS))
-        if not is_solved or self.is_changed:
+        is_settled = all(one.place.is_settled for one in self._possible(_ODDS))
+        if not is_settled or self.is_changed:
             known = ParameterSet.NONE
         best = max(parts, key=lambda part: part.weight)
         grid = best.posterior.grid
@@ -327,6 +327,7 @@ class GridEstimator(Estimator):
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
             small_motions=self._small_motions(parts),
+            is_settled=is_settled,
         )
 
     def _law_error_of(self, place: PlacePosterior, posterior: Posterior) -> LawError | None:

@@ -565,6 +565,9 @@ def _around(law: Law, own: _Weighed, start: Start) -> Box:
     most = 1.5 * box.deviations[is_open]
     step /= max(1.0, float(np.max(np.abs(step) / most)))
     middle[is_open] += step
+    while not law.inside(middle[None])[0]:
+        step *= 0.5
+        middle[is_open] -= step
     root = np.zeros_like(box.lower)
     # Wide: the next grid finds what it is.
     root[at] = np.linalg.cholesky(2.0 * found[1:, 1:] + np.diag((0.02 * most) ** 2))
