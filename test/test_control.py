@@ -199,7 +199,7 @@ def test_scheduled_gains_keep_their_promises(place):
 def test_an_inclusion_takes_the_estimate_back():
     scheduled = closed(MIDDLE, True)
     assert scheduled.live[scheduled.times <= LAST + 1.0].any()
-    assert set(scheduled.refusals) & {"CONTRADICTED", "REJECTED"}
+    assert "REJECTED" in scheduled.refusals
 
 
 def test_a_loss_in_the_middle_of_a_motion_leads_to_safe_gains_within_a_deadline():

@@ -419,20 +419,6 @@ def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(pres
     assert live.predictor(later[1].stamp_ns / NANOSECONDS) is not None
 
 
-def test_a_converged_estimate_that_is_contradicted_is_refused(press):
-    live, now = press.heard_until(3.0)
-    assert press.last.innovation is not None and press.last.innovation.predicted_stress is not None
-    wrong = press.last.innovation._replace(
-        innovation=0.5 * press.last.innovation.predicted_stress, variance=1.0
-    )
-    for n in range(1, 4):
-        assert live.refusal(now) is None
-        stamp_ns = press.last.stamp_ns + n * 10_000_000
-        now = stamp_ns / NANOSECONDS
-        live.add(replace(press.last, stamp_ns=stamp_ns, innovation=wrong), now)
-    assert live.refusal(now).cause is Cause.CONTRADICTED
-
-
 # Over DDS
 
 

@@ -44,8 +44,6 @@ _LONGEST_STEP, _LONGEST_STEP_RATIO = 0.05, 1.5
 #: Part of the largest stress of a contact [1] above which the tissue is loaded, whatever the law
 #: says: where the law is off by a fifth, pressed tissue would seem free.
 _UNLOADED_PART = 0.05
-#: Three consecutive estimates contradict by 20 % of the predicted force and five deviations.
-_MISSED_PART, _MISSED_NIS, _MISSES = 0.2, 25.0, 3
 #: Rate at which the least delay is forgotten, because clocks drift [s/s].
 _DELAY_LEAK = 1e-4
 #: An identifier without input reports so once a second; after this time of silence it is lost [s].
@@ -64,7 +62,6 @@ class Cause(enum.Enum):
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
     NOT_OBSERVABLE = "G is known, Gn is not observable: press deeper; stiffness() gives N/m"
-    CONTRADICTED = "the force is not what the estimate predicts, for the rest of the contact"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
 
@@ -141,7 +138,6 @@ class LiveTissue:
     def _forget(self) -> None:
         self._memory, self._memory_site, self._memory_ns = TissueMemory(), -1, 0
         self._is_memory_whole, self._step, self._peak_stress = False, 0.0, 0.0
-        self._misses, self._contradicted = 0, -1
 
     # Input
 
@@ -157,7 +153,6 @@ class LiveTissue:
             self._state, self._arrival = state, now
             if state.status is not Status.STALE:
                 self._remember(state)
-                self._compare(state)
             self.check(now)
 
     def count_publishers(self, alive: int, now: float | None = None) -> None:
@@ -258,11 +253,11 @@ class LiveTissue:
             return Cause.REJECTED
         if state.status in _BY_STATUS:
             return _BY_STATUS[state.status]
-        if not _is_known(state):
-            own = state.estimate
-            is_linear = own is not None and own.knows(0) and not own.determines(1)
-            return Cause.NOT_OBSERVABLE if is_linear else Cause.NOT_CONVERGED
-        return Cause.CONTRADICTED if self._contradicted == state.contact_id else None
+        if _is_known(state):
+            return None
+        own = state.estimate
+        is_linear = own is not None and own.knows(0) and not own.determines(1)
+        return Cause.NOT_OBSERVABLE if is_linear else Cause.NOT_CONVERGED
 
     def _watch_delay(self, state: TissueState, now: float) -> None:
         """Measure how much later than the quickest one an estimate arrived."""
@@ -272,16 +267,6 @@ class LiveTissue:
         idle = now - self._arrival if math.isfinite(self._arrival) else 0.0
         self._least_delay = min(self._least_delay + _DELAY_LEAK * idle, delay)
         self._lag = delay - self._least_delay
-
-    def _compare(self, state: TissueState) -> None:
-        """Count consecutive misses of the force against the prediction of a converged estimate."""
-        innovation, is_missed = state.innovation, False
-        if innovation is not None and _is_known(state):
-            is_large = abs(innovation.innovation) > _MISSED_PART * abs(innovation.predicted_stress)
-            is_missed = is_large and innovation.normalized_squared > _MISSED_NIS
-        self._misses = self._misses + 1 if is_missed else 0
-        if self._misses >= _MISSES:
-            self._contradicted = state.contact_id
 
     def _remember(self, state: TissueState) -> None:
         """Follow the stress of the present site; nothing touches it between contacts."""
