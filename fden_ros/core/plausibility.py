@@ -50,8 +50,6 @@ _MOST_SIZES = {
 UNKNOWN_AREA = 1.0
 #: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
 _PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
-#: ... and, where the prior allows more, within these [Pa s^alpha]: fat and cartilage lie between.
-_LEAST_STIFFNESS, _MOST_STIFFNESS = 1.0, 1e8
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
 #: A contact is judged before its end from this strain on, which a press usually has: below it the
@@ -121,7 +119,9 @@ class Plausibility:
         self._config, self._geometry, self._prior = config, geometry, prior
         #: Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
         self.standing = stands_against(geometry)
-        self._low, self._high = _stiffness_range(geometry, prior)
+        self._spread = max(
+            _PRIOR_DEVIATIONS * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR)
+        )
         self._words: dict[str, str] = {}
         #: Contacts that were found implausible, by the kind of reason.
         self.counts: Counter[str] = Counter()
@@ -223,16 +223,16 @@ class Plausibility:
     def _of_stiffness(self, strain: float, stress: float, *, is_over: bool) -> str:
         if strain <= (0.0 if is_over else _LEAST_STRAIN) or stress <= 0.0:
             return ""
-        prior = self._prior
+        prior, g = self._prior, self._prior.linear_stiffness
         spread = _NONLINEAR_DEVIATIONS * prior.nonlinear_stiffness_log_sd
         middle = math.log(prior.nonlinear_stiffness)
         least, most = (
-            math.log(stress / elastic_response(strain, 1.0, math.exp(middle + one)).value)
+            math.log(stress / elastic_response(strain, g, math.exp(middle + one)).value)
             for one in (spread, -spread)
         )
-        if least <= math.log(self._high) and most >= math.log(self._low):
+        if least <= self._spread and most >= -self._spread:
             return ""
-        ratio = math.exp(0.5 * (least + most)) / prior.linear_stiffness
+        ratio = math.exp(0.5 * (least + most))
         units, likely = {**_FORCES, "kN": 1e3}, (1.0 / _PRIOR_FACTOR, _PRIOR_FACTOR)
         suggested = _suggested(units, lambda f: ratio * f, *likely, is_shown=False)
         if ratio > 1.0 and strain < _LEAST_STRAIN:
@@ -269,17 +269,6 @@ def too_fast(step: float) -> str:
         f"samples come every {step:.2g} s, faster than a force sensor measures: is the time in s "
         f"already? With the factor 1e3 it would be every {1e3 * step:.2g} s"
     )
-
-
-def _stiffness_range(geometry: Geometry, prior: Prior) -> tuple[float, float]:
-    """Return the least and the greatest plausible G."""
-    spread = max(_PRIOR_DEVIATIONS * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR))
-    g = prior.linear_stiffness
-    low, high = g * math.exp(-spread), g * math.exp(spread)
-    if geometry.unit != "Pa" and geometry.stress_per_force != 1.0:
-        low = max(low, min(_LEAST_STIFFNESS, g / _PRIOR_FACTOR))
-        high = min(high, max(_MOST_STIFFNESS, g * _PRIOR_FACTOR))
-    return low, high
 
 
 def _suggested(

@@ -28,21 +28,21 @@ from fden_ros.core.estimation import Estimate, log_stiffness
 from fden_ros.core.law import ApparentStiffness, Geometry, log_stiffness_at
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: Least length of a piece [m], also as a part of the probe's length, and in deviations of the
+#: Least length of a piece, as a part of the geometry's length and in deviations of the
 #: displacement's noise; pieces of one length before the two oldest are joined.
-_LEAST_PIECE, _LEAST_PIECE_PART, _PIECE_DEVIATIONS, _PER_LEVEL = 5e-6, 2.5e-4, 4.0, 10
+_LEAST_PIECE, _PIECE_DEVIATIONS, _PER_LEVEL = 2.5e-4, 4.0, 10
 #: Least pieces of a window, its least part of the force's change in the run, and in the last run
 #: where this one goes on with it; ratio of two windows.
 _LEAST_PIECES, _LEAST_PART, _LEAST_OF_LAST, _WIDER = 8, 0.1, 0.25, 1.4
 #: Relative standard error from which on a window is wide enough, and up to which the slope is
-#: known; the window's change of force is at least 3 deviations of the noise.
-_FINE, _KNOWN, _LEAST_RISE = 0.02, 0.25, 3.0
+#: known; the window's change of force is clear from 3 deviations of the noise on.
+_FINE, _KNOWN, _CLEAR = 0.02, 0.25, 3.0
 #: Loading ends where the probe slows down to half of the speed at which the force rose, a run
 #: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
 _SLOW, _REST, _DUE = 0.5, 8.0, 0.125
 #: The envelope of a force saturates where it rises by this part of its rise over as wide a window
-#: before, known to 3 standard errors, at least this part of the speed then, on 6 pieces.
-_FLAT, _ERRORS, _SPEED, _LEAST_FLAT = 0.25, 3.0, 0.8, 6
+#: before, clearly, at least at this part of the speed then, on 6 pieces.
+_FLAT, _SPEED, _LEAST_FLAT = 0.25, 0.8, 6
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
 #: Largest correlation of neighbouring residuals, and largest deviation of ln N/m by the law.
@@ -196,7 +196,7 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
         own = student**2 * variance * float(line**2 @ variances)
         sd = math.sqrt(own + float(bend @ forces) ** 2)
         slope = float(line @ forces)
-        is_known = _KNOWN * slope >= sd and slope * width >= _LEAST_RISE * math.sqrt(variance)
+        is_known = _KNOWN * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
         return _Window(slope, sd, middle + place * half, width, is_known)
 
     return at(side), at(0.0)
@@ -229,11 +229,11 @@ def _is_saturated(columns: Array, change: float) -> bool:
     widths, times = np.cumsum(columns[0]), np.cumsum(columns[1])
     count = _LEAST_FLAT
     while count < widths.size and 2.0 * widths[count - 1] <= widths[-1]:
-        last = max(int(np.searchsorted(widths, 2.0 * widths[count - 1])) + 1, count + _LEAST_FLAT)
-        end, before = columns[:, :count], columns[:, count:last]
+        twice = int(np.searchsorted(widths, 2.0 * widths[count - 1])) + 1
+        end, before = columns[:, :count], columns[:, count : max(twice, count + _LEAST_FLAT)]
         if before.shape[1] >= _LEAST_FLAT and np.ptp(end[6]) > 1e-9 * np.abs(end[6]).max():
             (slope, error), (rise, rise_error) = _line(end), _line(before)
-            is_flat = abs(slope) + _ERRORS * error < _FLAT * (rise - _ERRORS * rise_error)
+            is_flat = abs(slope) + _CLEAR * error < _FLAT * (rise - _CLEAR * rise_error)
             pace = float(before[0].sum()) / max(float(before[1].sum()), sys.float_info.min)
             is_fast = widths[count - 1] > _SPEED * pace * times[count - 1]
             if is_flat and is_fast and rise * widths[count - 1] > _LEAST_PART * change:
@@ -248,7 +248,7 @@ def _best(columns: Array, side: float, least_change: float, noise: float) -> _Wi
     found: tuple[list[_Window], list[_Window]] = ([], [])
     while count <= last:
         change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
-        if count == last or change >= max(least_change, _LEAST_RISE * noise):
+        if count == last or change >= max(least_change, _CLEAR * noise):
             windows = _window(columns[:, :count], side, noise)
             if windows[0].is_known and windows[0].sd <= _FINE * windows[0].slope:
                 return windows[0]
@@ -268,7 +268,7 @@ class MeasuredSlopes:
     def __init__(self, config: PipelineConfig) -> None:
         self._contact, self._is_continuous = config.contact, config.is_continuous
         self._noise = max(config.contact.force_noise, config.contact.noise_floor)
-        self._least_piece = min(_LEAST_PIECE, _LEAST_PIECE_PART * config.geometry.length)
+        self._least_piece = _LEAST_PIECE * config.geometry.length
         self._unseen, self._surface, self._was_in_contact = NOT_MEASURED, math.nan, False
         #: Of three contacts, as the summary of one may come in the next: slopes and surface [m].
         self._found: dict[int, tuple[Slopes, float]] = {}

@@ -9,11 +9,11 @@ from fden_ros.core.contact import Onset
 from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: A probe has lifted where it was off the surface by this part of its last depth, or by the second
-#: part where its touch was not seen. The surface of a stroke that never lifts is found where the
-#: stroke turns: within 1 % of the depth on silicone (2 Hz, 0.05 N of noise), 4 % of simulated
+#: A probe has lifted where it was off the surface by this part of its last depth. The surface of a
+#: stroke that never lifts is found where the stroke
+#: turns: within 1 % of the depth on silicone (2 Hz, 0.05 N of noise), 4 % of simulated
 #: linear tissue, and 12 % (20 %) of exponential tissue with 2 % (10 %) of its force as noise.
-_LIFTED, _LIFTED_UNSEEN = 0.1, 0.25
+_LIFTED = 0.25
 #: This many consecutive touches without a lift are strokes; one or two are repeated presses.
 _LEAST_STROKES = 3
 #: This many periods in one contact whose touch was not seen are strokes too.
@@ -76,8 +76,7 @@ class Strokes:
         before = self._surface
         depth = self._deepest - (onset.displacement if before is None else before)
         clearance = onset.displacement - lowest
-        least = (_LIFTED if onset.seen else _LIFTED_UNSEEN) * depth
-        is_stroke = before is not None and clearance < least
+        is_stroke = before is not None and clearance < _LIFTED * depth
         self._count = self._count + 1 if is_stroke else 0
         self._strokes += is_stroke
         self._lifts += before is not None and not is_stroke

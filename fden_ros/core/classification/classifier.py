@@ -49,8 +49,6 @@ _LEAST_INFORMATION = 0.1
 _OBSERVABLE_SHARE = 0.25
 #: The data distinguish two classes where they favour one by odds of 20, in any direction.
 _SPEAKING_ODDS = 20.0
-#: Variances in units of the prior's below this are rounding, and may be negative.
-_LEAST_VARIANCE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,8 @@ def likelihood_of(
     scale = np.broadcast_to(np.where(own > 0.0, own, 1.0), mean.shape)[..., :used]
     scaled = covariance[..., :used, :used] / (scale[..., :, None] * scale[..., None, :])
     variances, axes = np.linalg.eigh(scaled)
-    variances = np.maximum(variances, _LEAST_VARIANCE)
+    # Smaller ones, in units of the prior's, are rounding, and may be negative.
+    variances = np.maximum(variances, np.finfo(float).eps)
     if prior is None:
         known, slope = 1.0 / variances, np.zeros_like(variances)
     else:

@@ -31,15 +31,13 @@ from fden_ros.core.estimation import (
     determined,
     kernel_change,
 )
-from fden_ros.core.law import ApparentStiffness
+from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, ApparentStiffness
 from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexModulusMeter
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 #: A deviation beyond this many standard deviations of a normal is not by chance [1].
 _NO_CHANCE = 5.0
-#: Orders alpha that palpation may show, wider than the range 0.02 to 0.6 of a given one.
-_LOWEST_ORDER, _HIGHEST_ORDER = 0.01, 0.65
 #: An alpha by the phase above this counts as a lag [1]: published livers have 0.12 to 0.15,
 #: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
 _LARGEST_ORDER, _STATED = 0.35, 2.0
@@ -97,7 +95,7 @@ def palpated(
     variance = max(float(covariance[1, 1]), 0.0)
     reach = math.inf if config.is_order_given else EDGE * math.sqrt(variance)
     is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
-    is_tissue = _LOWEST_ORDER - reach <= own_order <= _HIGHEST_ORDER + reach and not is_lag
+    is_tissue = own_order >= -reach and not is_lag
     estimate = _estimate(float(order), variance, config, samples, is_tissue)
     found = ApparentStiffness(apparent, sd, time_scale) if is_tissue else None
     return Palpated(whole, found, estimate)
@@ -129,7 +127,7 @@ def _estimate(
     return Estimate(
         log_linear_stiffness=math.log(prior.linear_stiffness),
         log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
-        fractional_order=min(max(order, _LOWEST_ORDER), _HIGHEST_ORDER),
+        fractional_order=min(max(order, LOWEST_ORDER), HIGHEST_ORDER),
         covariance=covariance,
         observable=valid,
         known=converged(config, deviations, valid),

@@ -15,8 +15,8 @@ from fden_ros.core.arrays import Array
 #: second, from 3 s on.
 _RATE = 32.0
 _MOST, _LEAST, _EVERY = 256, 96, 16
-#: Palpation lies within these [Hz], and has lasted for 3 periods.
-_SLOWEST, _FASTEST, _PERIODS = 0.4, 5.0, 3.0
+#: Palpation is at most this fast [Hz], and has lasted for 3 periods.
+_FASTEST, _PERIODS = 5.0, 3.0
 #: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
 #: of its power in one peak; another frequency is taken when it differs by this share.
 _POINTS, _LEAST_SHARE, _CHANGE = 2048, 0.5, 0.04
@@ -61,7 +61,7 @@ def dominant_frequency(values: Array, rate: float) -> float | None:
     step = rate / _POINTS
     # The peak of a Hann window is 4 steps of its length wide.
     width = 2.0 * rate / velocity.size / step
-    lowest = math.ceil(max(_SLOWEST, _PERIODS * rate / velocity.size) / step)
+    lowest = math.ceil(_PERIODS * rate / velocity.size / step)
     highest = math.floor(_FASTEST / step)
     peak = lowest + int(np.argmax(power[lowest : highest + 1]))
     near = power[max(peak - round(width), 0) : peak + round(width) + 1].sum()
