@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import gamma
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.contact.air import CHUNK_NS, CLEAR_DEVIATIONS
+from fden_ros.core.contact.air import CHUNK_NS
 from fden_ros.core.streams import NANOSECONDS
 
 #: Growths over the depth at which exponentials are compared with the line: the line bends less
@@ -32,10 +32,10 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
-#: A probe has moved by more than a clear number of deviations of the surface, and than this many
-#: usual steps of the displacement: noise alone reaches eight. And for at least this time away from
-#: the surface [s]: chatter is shorter.
-_CLEAR_STEPS, _LEAST_AWAY = 10.0, 0.5
+#: A probe has moved by more than this many deviations of the surface (with four a force that grows
+#: with the depth in the air was a touch), and than this many usual steps of the displacement: noise
+#: alone reaches eight. And for at least this time away from the surface [s]: chatter is shorter.
+_CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
 #: onset, then 40 about the best: the work is bounded, however many samples a window holds.
 _MAX_BINS, _CANDIDATES = 96, 40
@@ -195,7 +195,7 @@ def _clear_way(surface_sd: float, displacement: Array) -> float:
     `displacement`: two samples or more, [m], shape (n,).
     """
     step = float(np.median(np.abs(np.diff(displacement))))
-    return max(CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
+    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
 
 
 def _last_way_in(
