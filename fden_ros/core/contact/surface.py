@@ -32,9 +32,9 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 _LEAST_EVIDENCE = 20.0
-#: A probe has moved by more than this many deviations of the surface (with four a force that grows
-#: with the depth in the air was a touch), and than this many usual steps of the displacement: noise
-#: alone reaches eight. And for at least this time away from the surface [s]: chatter is shorter.
+#: A probe has moved by more than this many deviations of the surface, and than this many usual
+#: steps of the displacement: noise alone reaches eight. With four deviations a force that grows in
+#: the air was a touch. And for at least this time away from the surface [s]: chatter is shorter.
 _CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
 #: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
 #: onset, then 40 about the best: the work is bounded, however many samples a window holds.
