@@ -353,7 +353,7 @@ class PaperFilter(Estimator):
             self._blocks.append((step, stress, noise))
             # In the air, before the first sample of the contact, all nodes behind the probe are as
             # likely: a grid that follows them loses the touch.
-            is_coarse = self._is_settled and _count(self._weighed.weights) < _COUNTING
+            is_coarse = self._is_settled and not self._resolves
             if self._sample_count and (is_coarse or len(self._blocks) >= self._next_look):
                 self._follow()
                 later = _EVERY if self._is_settled else _RESTART * len(self._blocks)
@@ -427,6 +427,15 @@ class PaperFilter(Estimator):
             chi2,
         )
 
+    @property
+    def _resolves(self) -> bool:
+        """Whether enough nodes count, along each axis, and the outermost do not."""
+        weights, z = self._weighed.weights, self._grid.z[:, self._wide]
+        off = z - weights @ z
+        narrowest = np.linalg.eigvalsh((off * weights[:, None]).T @ off)[0]
+        is_inside = weights @ self._grid.is_outer <= _EDGE
+        return bool(_count(weights) >= _COUNTING and narrowest >= _NARROW**2 and is_inside)
+
     def _follow(self) -> None:
         """Lay new grids until enough nodes count and the outermost do not."""
         wide = np.ix_(self._wide, self._wide)
@@ -473,7 +482,8 @@ class PaperFilter(Estimator):
         strains = grid.strains(np.array(self._deepest))
         beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
         is_first = self._contact_count < 2
-        is_sound = self._is_exact and self._is_settled and is_first and not self._is_refused
+        is_settled = self._is_settled and self._resolves
+        is_sound = self._is_exact and is_settled and is_first and not self._is_refused
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),
