@@ -110,10 +110,10 @@ def first_press(seed: int = 3) -> Shift:
 
 
 @functools.cache
-def undisturbed(make: Callable[[], Shift] = shift) -> Outcome:
+def undisturbed(make: Callable[[], Shift] = shift, kind: str = "grid") -> Outcome:
     """What the pipeline makes of a shift without a fault."""
     s = make()
-    return outcome_of(s.items, s.parameters)
+    return outcome_of(s.items, s.parameters | {"estimator.kind": kind})
 
 
 def bouncing() -> list[Item]:
