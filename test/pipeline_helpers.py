@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from benchmark.score import Judged, judged
-from benchmark.trial import fed, samples_of, truth_of
+from benchmark.trial import fed, samples_of
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config, read_parameter_file
-from simulation.simulate import Recording, simulate
+from simulation.simulate import Recording
 
 FORCE, DISPLACEMENT = 0, 1
 #: The paper's liver, for what was measured with it as the prior: the numbers, and by name.
@@ -99,16 +98,3 @@ def parameters_of(recording: Recording, *, given_origin: bool = False) -> dict[s
 
 def summaries_of(outputs: Iterable[Output]) -> list[ContactSummary]:
     return [output for output in outputs if isinstance(output, ContactSummary)]
-
-
-def contact_errors(scenario: Any, seed: int, *, given_origin: bool = False) -> list[Judged]:
-    """Simulate a scenario with one seed, identify it, and hold every contact against the truth."""
-    recording = simulate(scenario, seed)
-    parameters = parameters_of(recording, given_origin=given_origin)
-    found = summaries_of(identified(items_of(recording), parameters)[1])
-    contacts = recording.truth["contacts"]
-    assert len(found) == len(contacts), f"seed {seed}: {len(found)} contacts"
-    return [
-        judged(one.estimate, truth_of(recording, contact["site"] - 1), one.converged, one.flags)
-        for one, contact in zip(found, contacts, strict=True)
-    ]

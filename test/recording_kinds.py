@@ -419,14 +419,6 @@ def unindexed(path: Path) -> Path:
     return path
 
 
-def other_database(path: Path) -> Path:
-    database = sqlite3.connect(path)
-    database.execute("CREATE TABLE results (name)")
-    database.commit()
-    database.close()
-    return path
-
-
 def packed_otherwise(folder: Path) -> Path:
     path = folder / "metadata.yaml"
     path.write_text(path.read_text().replace("zstd", "brotli"))

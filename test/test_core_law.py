@@ -30,8 +30,6 @@ from fden_ros.core.law import (
     strain_of_phi,
 )
 from fden_ros.core.oscillation import ComplexModulusMeter
-from fden_ros.simulation import FdenModel
-from simulation.closed_form import SineMove, moves_of_knots, stress_of_moves
 
 # The constitutive law: smooth at the boundary strain, odd, and what its derivatives say
 
@@ -250,31 +248,8 @@ def test_a_rest_is_a_stress_of_0_for_its_time():
 # A dither as a dynamic test, a hold as a relaxation test, from streams of samples
 
 
-MODEL = FdenModel(545.0, 8.55, 0.131)
-
-
-def dithered_hold(mean, amplitude, frequency, times, settle=3.0):
-    """Press to `mean` in 1 s, hold until `settle`, then dither."""
-    knots = moves_of_knots([0.0, 1.0, settle], [0.0, mean, mean])
-    sine = SineMove(settle, times[-1] + 1.0, mean, amplitude, frequency, settle)
-    strain = np.interp(times, [0.0, 1.0], [0.0, mean])
-    later = times > settle
-    strain[later] = sine.strain_at(times[later])
-    return strain, stress_of_moves([*knots, sine], times, MODEL)
-
-
 def moduli(meter, times, strain, stress):
     return [m for sample in zip(times, strain, stress, strict=True) for m in meter.add(*sample)]
-
-
-def test_dither_beyond_the_boundary_strain_gives_the_tangent():
-    times = np.arange(3.0, 13.0, 0.005)
-    strain, stress = dithered_hold(0.25, 0.005, 1.0, times)
-
-    last = moduli(ComplexModulusMeter([1.0]), times, strain, stress)[-1]
-
-    assert last.stiffness == pytest.approx(545.0 * math.exp(8.55 * 0.25 - 1.0), rel=5e-3)
-    assert last.fractional_order == pytest.approx(0.131, abs=2e-3)
 
 
 def test_slope_and_phase_are_told_apart_with_deviations():

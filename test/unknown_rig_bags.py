@@ -26,14 +26,6 @@ float32[] angle
 float32[6] pose
 float32[6] offset
 """
-LOADS = """builtin_interfaces/Time stamp
-string device
-float32[] channels
-uint8 state
-"""
-DEPTH = """std_msgs/Header header
-geometry_msgs/Vector3 tip
-"""
 
 
 class RigBag:
@@ -50,12 +42,7 @@ class RigBag:
         self.topics = (force_topic, displacement_topic)
         self.kind = kind
         self.store = get_typestore(Stores.ROS2_HUMBLE)
-        for text, name in (
-            (ROBOT_STATES, "xarm_msgs/msg/RobotMsg"),
-            (LOADS, "plc_msgs/msg/Loads"),
-            (DEPTH, "plc_msgs/msg/Depth"),
-        ):
-            self.store.register(get_types_from_msg(text, name))
+        self.store.register(get_types_from_msg(ROBOT_STATES, "xarm_msgs/msg/RobotMsg"))
 
     def write(self, folder: Path) -> Path:
         """Write the bag."""
@@ -87,10 +74,6 @@ class RigBag:
         values = [float(v) for v in self.streams.force[index]]
         if len(values) == 1:
             return self.joints(time, [], [0.0, values[0]])
-        if self.kind == "plc":
-            channels = np.array([7.0, values[2], 9.0], dtype=np.float32)
-            stamp = self.header(time, "").stamp
-            return t["plc_msgs/msg/Loads"](stamp, device="plc", channels=channels, state=3)
         wrench = t["geometry_msgs/msg/Wrench"](force=vector(*values), torque=vector(0.0, 0.0, 0.0))
         return t["geometry_msgs/msg/WrenchStamped"](self.header(time, "sensor"), wrench)
 
@@ -117,8 +100,6 @@ class RigBag:
             t["geometry_msgs/msg/Point"](*place),
         )
         header = self.header(time, "base")
-        if self.kind == "plc":
-            return t["plc_msgs/msg/Depth"](header, vector)
         if self.kind == "transform":
             transform = t["geometry_msgs/msg/Transform"](vector, quaternion)
             return t["geometry_msgs/msg/TransformStamped"](header, "tool", transform)
