@@ -88,13 +88,11 @@ def test_the_generator_still_makes_the_golden_bags(name, tmp_path):
     assert truth_of(GOLDEN / name)["contacts"] == truth_of(tmp_path / name)["contacts"]
     assert [t.name for t in made.topics] == [t.name for t in golden.topics]
     for new, old in zip(made.messages(), golden.messages(), strict=True):
-        assert (new.topic, new.log_time_ns, len(new.data)) == (
-            old.topic,
-            old.log_time_ns,
-            len(old.data),
-        )
+        assert (new.topic, new.log_time_ns) == (old.topic, old.log_time_ns)
+        # Parameters that are stated have been added since.
         if new.topic == "/simulation/truth" or new.data == old.data:
             continue
+        assert len(new.data) == len(old.data)
         # Another processor may round the last bit of a sample differently.
         assert np.allclose(floats(new.data), floats(old.data), rtol=0, atol=1e-12)
 
