@@ -193,7 +193,7 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
         gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
         line = gradient[:3] @ parabola
         bend = line - gradient @ cubic
-        own = student**2 * variance * float(line**2 @ variances)
+        own = student**2 * variance * float((line**2 + bend**2) @ variances)
         sd = math.sqrt(own + float(bend @ forces) ** 2)
         slope = float(line @ forces)
         is_known = _KNOWN * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
