@@ -412,13 +412,13 @@ EFFECTS: dict[str, Effect] = {
     "estimate.period": ("plain", {}, 0.04, lambda a, b: a.in_air == near(2 * b.in_air, 0.1)),
     "dither.frequencies": (
         "dithered",
-        {},
+        {"estimator.kind": "ekf"},
         (2.0,),
         lambda a, b: not a.moduli and b.moduli[-1].modulus.angular_frequency == near(4.0 * np.pi),
     ),
     "classification.mode": (
         "row",
-        RIGID,
+        RIGID | {"estimator.kind": "ekf"},
         "relative",
         lambda a, b: compared(a, b) == [False, True],
     ),
