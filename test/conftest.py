@@ -31,7 +31,7 @@ _domain = contextlib.ExitStack()
 LONGEST = (
     *("documentation", "live", "benchmark", "identifier", "configure", "faults", "parameters"),
     *("stiffness_alone", "core_rig", "core_continuous", "cluster", "faults_node", "node_start"),
-    *("first_hour", "packaging", "commands", "commands_replay", "core_posterior", "core_mixture"),
+    *("core_pipeline_failures", "core_known", "first_hour", "packaging", "commands"),
 )
 
 

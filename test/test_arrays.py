@@ -60,7 +60,7 @@ def test_a_prediction_is_the_law_of_the_contact():
 
 
 def test_what_is_not_known_is_nan():
-    time, force, depth = example()
+    time, force, depth = (column[:1200] for column in example())
     contact = fden_ros.fit(time, force, depth).contacts[0]
     assert not contact.converged and math.isnan(contact.G.value)
     assert "GEOMETRY_UNSTATED" in contact.flags
