@@ -201,6 +201,14 @@ def test_contact_has_the_slopes_where_it_was_deepest():
     assert states[-1].status is Status.NO_CONTACT and states[-1].measured == NOT_MEASURED
 
 
+def test_recording_that_begins_in_contact_is_measured():
+    places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
+    forces = SPRING * places + 1e-3 * np.random.default_rng(2).standard_normal(places.size)
+    pipeline, _ = outputs_of(places, forces)
+    found = pipeline.measured_unseen.loading
+    assert abs(found.value - SPRING) < 4.0 * found.sd < 0.1 * SPRING
+
+
 def test_continuous_contact_is_measured():
     seconds = np.arange(0.0, 12.0, 1.0 / RATE)
     places = 0.004 + 5e-4 * np.sin(2.0 * np.pi * 1.5 * seconds)

@@ -39,8 +39,10 @@ from fden_ros.parameters import (
     tool_weight,
 )
 from fden_ros.parameters.table import parameter_named
+from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
+    Dropout,
     ForceSensor,
     Geometry,
     Scenario,
@@ -278,6 +280,9 @@ def row(step: float, *stiffness: float) -> tuple[Site, ...]:
 RECORDINGS: dict[str, dict[str, Any]] = {
     "plain": {},
     "silent": {"force": ForceSensor(200.0)},
+    "late": {"displacement": DisplacementSensor(200.0, delay_s=0.02)},
+    "yielding": {"disturbances": Disturbances(compliance_m_per_n=2e-3)},
+    "gap": {"dropouts": (Dropout("displacement", 2.0, 0.15),)},
     "dithered": {"sites": on_liver(Sinusoid(0.3, 0.2, 0.01, 2.0, 12, 0.3))},
     "again": {"sites": row(0.0, 520.0, 520.0)},
     "row": {"sites": row(0.01, *[520.0] * 5, 936.0), "displacement": POINTS},
@@ -342,6 +347,13 @@ def wider(usual: Heard, changed: Heard) -> bool:
     return bool(np.any(after > 1.01 * before))
 
 
+def closer(usual: Heard, changed: Heard) -> bool:
+    """Whether ln G at the end is; it is infinitely far where there is none."""
+    off = [abs(math.log(one.last.linear_stiffness / 520.0)) if one.last else math.inf
+           for one in (usual, changed)]  # fmt: skip
+    return off[1] < off[0]
+
+
 def rejected(reason: str) -> Check:
     return lambda usual, changed: changed.rejected[reason] > 10
 
@@ -364,10 +376,20 @@ Effect = tuple[str, dict[str, Any], Any, Check]
 EFFECTS: dict[str, Effect] = {
     "force.noise": ("plain", RIGID, 6e-4, wider),
     "force.noise_floor": ("silent", RIGID, 1e-3, wider),
+    "force.drift_sd": ("plain", RIGID, 0.05, wider),
     "force.friction_sd": ("plain", RIGID, 0.005, wider),
     "force.limit": ("plain", {}, 0.01, rejected("force.out_of_range")),
+    "displacement.delay": ("late", RIGID, 0.02, closer),
+    "displacement.compliance": ("yielding", RIGID, 2e-3, closer),
     "displacement.compliance_sd": ("plain", RIGID, 0.1, wider),
     "displacement.delay_sd": ("plain", RIGID, 0.01, wider),
+    "surface.motion_sd": ("plain", RIGID, 1e-3, wider),
+    "synchronize.max_wait": (
+        "gap",
+        {"synchronize.max_gap": 0.3},
+        0.05,
+        lambda a, b: b.rejected.total() > a.rejected.total(),
+    ),
     "geometry.thickness_sd": (
         "plain",
         RIGID,
