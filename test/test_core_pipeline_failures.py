@@ -20,11 +20,14 @@ from pipeline_helpers import Item, feed
 from property_helpers import examples
 
 from fden_ros.core.contact import ContactDetector
-from fden_ros.core.estimation import GridEstimator
 from fden_ros.core.outputs import Flag, Status, TissueState
+from fden_ros.core.paper_filter import PaperFilter
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import Synchronizer
 from fden_ros.parameters import check, pipeline_config
+
+#: It takes a sixth of the time of the grid; test_faults.py has an exception of that.
+PAPER = {"estimator.kind": "ekf"}
 
 # Whatever the computation raises ends one contact and its site; all else goes on
 
@@ -49,11 +52,11 @@ def breaks(
     return calls
 
 
-def of_first_site(after: int = 0) -> Callable[[GridEstimator], bool]:
+def of_first_site(after: int = 0) -> Callable[[PaperFilter], bool]:
     """Of the estimator that was called first, from a number of calls on."""
-    seen: list[GridEstimator] = []
+    seen: list[PaperFilter] = []
 
-    def when(estimator: GridEstimator) -> bool:
+    def when(estimator: PaperFilter) -> bool:
         seen.append(estimator)
         return estimator is seen[0] and len(seen) > after
 
@@ -62,7 +65,7 @@ def of_first_site(after: int = 0) -> Callable[[GridEstimator], bool]:
 
 @pytest.fixture
 def clean() -> Outcome:
-    return undisturbed()
+    return undisturbed(kind="ekf")
 
 
 @pytest.mark.parametrize(
@@ -72,9 +75,9 @@ def clean() -> Outcome:
 def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
     monkeypatch, clean, name, after
 ):
-    breaks(monkeypatch, GridEstimator, name, of_first_site(after))
+    breaks(monkeypatch, PaperFilter, name, of_first_site(after))
     s = shift()
-    outcome = outcome_of(s.items, s.parameters)
+    outcome = outcome_of(s.items, s.parameters | PAPER)
     assert_sound(outcome.outputs)
     first, *others = outcome.summaries
     assert first.flags & Flag.ESTIMATION_FAILED and not first.complete
@@ -92,11 +95,11 @@ def test_an_exception_of_the_estimator_ends_its_contact_and_site_and_no_other(
 
 
 def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch):
-    breaks(monkeypatch, GridEstimator, "add", of_first_site(20))
+    breaks(monkeypatch, PaperFilter, "add", of_first_site(20))
     s = shift()
     # All at one place: the second and third contact are of the same site.
     items = [item._replace(position=None) for item in s.items]
-    parameters = s.parameters | {"site.timeout": 100.0}
+    parameters = s.parameters | PAPER | {"site.timeout": 100.0}
     outcome = outcome_of(items, parameters)
     assert [c.site_id for c in outcome.summaries] == [1, 1, 1]
     assert all(c.flags & Flag.ESTIMATION_FAILED for c in outcome.summaries)
@@ -108,22 +111,22 @@ def test_a_failed_site_stays_unusable_until_a_reset(monkeypatch):
     middle = next(k for k, item in enumerate(items) if s.second(item.stamp_ns) > 7.0)
     steps = [*items[:middle], Pipeline.reset, *items[middle:]]
     monkeypatch.undo()
-    breaks(monkeypatch, GridEstimator, "add", of_first_site(20))
+    breaks(monkeypatch, PaperFilter, "add", of_first_site(20))
     again = outcome_of(steps, parameters)
     assert again.summaries[1].converged and not again.summaries[1].flags
     assert not again.pipeline.is_failed
 
 
 def test_an_estimate_that_is_not_finite_is_a_failure(monkeypatch):
-    real = GridEstimator.estimate
+    real = PaperFilter.estimate
 
-    def estimate(self: GridEstimator) -> Any:
+    def estimate(self: PaperFilter) -> Any:
         found = real(self)
         return found._replace(covariance=found.covariance * np.nan)
 
-    monkeypatch.setattr(GridEstimator, "estimate", estimate)
+    monkeypatch.setattr(PaperFilter, "estimate", estimate)
     s = shift()
-    outcome = outcome_of(s.items, s.parameters)
+    outcome = outcome_of(s.items, s.parameters | PAPER)
     assert_sound(outcome.outputs)
     assert len(outcome.summaries) == 3 == outcome.pipeline.failure_count
     assert all(c.flags & Flag.ESTIMATION_FAILED for c in outcome.summaries)
@@ -135,7 +138,7 @@ def test_detector_and_synchronizer_begin_anew_after_an_exception(monkeypatch, ki
     name = "add" if kind is ContactDetector else "add_force"
     calls = breaks(monkeypatch, kind, name, lambda _: len(calls) == 500)
     s = shift()
-    outcome = outcome_of(s.items, s.parameters)
+    outcome = outcome_of(s.items, s.parameters | PAPER)
     assert_sound(outcome.outputs)
     assert outcome.pipeline.failure_count == 1
     assert outcome.summaries[-1].converged and outcome.summaries[-1].complete
