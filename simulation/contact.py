@@ -40,7 +40,6 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import gamma
 
-from fden_ros.errors import InputError
 from fden_ros.simulation import FdenModel, FloatArray
 from simulation.closed_form import (
     Move,
@@ -87,14 +86,7 @@ class Stiffening:
     """Another tissue below some depth."""
 
     strain: float  #: Where it begins
-    ratio: float  #: Of G to its value above, at least 1
-
-    def __post_init__(self) -> None:
-        if not (self.strain > 0.0 and self.ratio >= 1.0):
-            raise InputError(
-                f"stiffening: strain is {self.strain} and ratio {self.ratio}; "
-                "they must be positive and at least 1"
-            )
+    ratio: float  #: Of G to its value above
 
     def stress(self, moves: Sequence[Move], times: FloatArray, model: FdenModel) -> FloatArray:
         """Return its part of the stress at `times` of a contact's motion."""

@@ -14,16 +14,13 @@ White noise, bias, drift, jitter and delay belong to the sensors: see
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fden_ros.errors import InputError
 from fden_ros.simulation import FloatArray
-from simulation.trajectory import require_not_negative, require_positive
 
 #: Slower than this [m/s] the probe counts as at rest: there is no friction and no vibration.
 REST_SPEED = 1e-4
@@ -39,14 +36,6 @@ class SurfaceMotion:
     rate_hz: float = 0.25  #: Mean rate
     #: Amplitude, relative to the mean, of a slow sine of the rate (period 20 s), below 1
     rate_variation: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(self, "peak_to_peak_m", "rate_variation")
-        require_positive(self, "rate_hz")
-        if self.rate_variation >= 1.0:
-            raise InputError(
-                f"surface motion: rate_variation is {self.rate_variation}; it must be below 1"
-            )
 
     def height(self, times: FloatArray, phase: float, slow_phase: float) -> FloatArray:
         """Return how far the surface has moved away from the probe, in m."""
@@ -113,24 +102,6 @@ class Disturbances:
     #: Steps of the readings (quantisation); 0: none
     force_step_n: float = 0.0
     displacement_step_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(
-            self,
-            "compliance_m_per_n",
-            "backlash_m",
-            "plastic_set_m",
-            "friction_n",
-            "hum_n",
-            "vibration_n",
-            "filter_hz",
-            "force_step_n",
-            "displacement_step_m",
-        )
-        require_positive(self, "creep_s", "thermal_s", "hum_hz", "vibration_hz")
-        for name in ("creep_n", "thermal_n"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(f"disturbances: {name} must be finite")
 
     @property
     def moves_tissue(self) -> bool:

@@ -4,8 +4,8 @@
 """Scenarios: tissue, presses and sensors; from YAML to frozen dataclasses.
 
 The files in ``bags/`` show the format. Every key is a field of one of the dataclasses below, in SI
-units; a key that is missing takes the field's default. Values are checked when a dataclass is
-made, so `dataclasses.replace` is checked too.
+units; a key that is missing takes the field's default. A number may be 0 where its default is,
+and negative only if it is an error or a place.
 """
 
 from __future__ import annotations
@@ -38,15 +38,10 @@ from simulation.trajectory import (
     RampHold,
     Sinusoid,
     Trajectory,
-    require_not_negative,
-    require_positive,
 )
 
 Press = Trajectory
 Axis = tuple[float, float, float]
-
-FORCE_MESSAGES = ("wrench", "joint_state")
-DISPLACEMENT_MESSAGES = ("joint_state", "pose", "transform", "point")
 
 
 @dataclass(frozen=True)
@@ -94,11 +89,9 @@ class Tissue:
     draw: str | None = None
 
     def __post_init__(self) -> None:
-        if self.draw is not None:
-            require_choice("tissue: draw", self.draw, TISSUES)
-        elif missing := [name for name in TISSUES["liver"] if getattr(self, name) is None]:
+        missing = [name for name in TISSUES["liver"] if getattr(self, name) is None]
+        if self.draw is None and missing:
             raise InputError(f"tissue: {missing[0]} is missing; give it, or `draw: liver`")
-        require_positive(self, "linear_stiffness", "nonlinear_stiffness", "fractional_order")
 
     def model(self, generator: np.random.Generator) -> FdenModel:
         """Return the parameters, drawing those that are not given."""
@@ -107,6 +100,14 @@ class Tissue:
         drawn = {name: distribution.draw(generator) for name, distribution in source.items()}
         given = {name: getattr(self, name) for name in drawn if getattr(self, name) is not None}
         return FdenModel(**(drawn | given))
+
+
+#: By the kind of a geometry, what it needs.
+_DIMENSIONS = {
+    "flat_punch": ({"area_m2", "thickness_m"}, {"radius_m", "thickness_m"}),
+    "sphere": ({"radius_m"}, {"radius_m", "thickness_m"}),
+    "pass_through": (set[str](),),
+}
 
 
 @dataclass(frozen=True)
@@ -127,18 +128,12 @@ class Geometry:
     bonded: bool = True  #: The base holds the layer under a sphere; otherwise it slips
 
     def __post_init__(self) -> None:
-        require_choice("geometry: kind", self.kind, ("flat_punch", "sphere", "pass_through"))
-        require_positive(self, "area_m2", "radius_m", "thickness_m")
         given = {
             name
             for name in ("area_m2", "radius_m", "thickness_m")
             if getattr(self, name) is not None
         }
-        allowed = {
-            "flat_punch": ({"area_m2", "thickness_m"}, {"radius_m", "thickness_m"}),
-            "sphere": ({"radius_m"}, {"radius_m", "thickness_m"}),
-            "pass_through": (set[str](),),
-        }[self.kind]
+        allowed = _DIMENSIONS[self.kind]
         if given not in allowed:
             right = " or ".join(" and ".join(sorted(names)) or "no dimension" for names in allowed)
             raise InputError(f"geometry: {self.kind} needs {right}, not {_listed(sorted(given))}")
@@ -208,9 +203,6 @@ class Preload:
     depth_m: float = 0.0
     time_s: float = 10.0  #: How long it has rested there when the recording begins
 
-    def __post_init__(self) -> None:
-        require_not_negative(self, "depth_m", "time_s")
-
 
 @dataclass(frozen=True)
 class ForceSensor:
@@ -235,10 +227,6 @@ class ForceSensor:
     frame_id: str = "force_sensor"
 
     def __post_init__(self) -> None:
-        require_positive(self, "rate_hz")
-        require_not_negative(self, "noise_stress_pa", "noise_n", "jitter_s")
-        require_choice("force: message", self.message, FORCE_MESSAGES)
-        _require_unit_axis("force", self.axis)
         if self.noise_n is not None and self.noise_stress_pa is not None:
             raise InputError("force: noise_n and noise_stress_pa are both given; give one of them")
 
@@ -260,12 +248,6 @@ class DisplacementSensor:
     frame_id: str = "tissue"
     surface_m: float = 0.0  #: Reading at the undisturbed surface
 
-    def __post_init__(self) -> None:
-        require_positive(self, "rate_hz")
-        require_not_negative(self, "noise_m", "jitter_s")
-        require_choice("displacement: message", self.message, DISPLACEMENT_MESSAGES)
-        _require_unit_axis("displacement", self.axis)
-
 
 @dataclass(frozen=True)
 class Dropout:
@@ -275,11 +257,6 @@ class Dropout:
     #: On the stamps, from the beginning of the recording
     start_s: float
     duration_s: float
-
-    def __post_init__(self) -> None:
-        require_choice("dropout: stream", self.stream, ("force", "displacement", "both"))
-        require_not_negative(self, "start_s")
-        require_positive(self, "duration_s")
 
 
 @dataclass(frozen=True)
@@ -292,9 +269,6 @@ class Slide:
     #: have the same past
     ratio: float = 2.0
     edge_m: float = 0.002  #: Length over which the stiffness passes from one to the other
-
-    def __post_init__(self) -> None:
-        require_positive(self, "ratio", "edge_m")
 
     def stiffness_ratio(self, gone: FloatArray, start_m: tuple[float, float]) -> FloatArray:
         """Return the stiffness ratio at this part of the path from `start_m`."""
@@ -345,8 +319,6 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.sites:
             raise InputError("scenario: sites is empty; name at least one site")
-        if self.seed < 0:
-            raise InputError(f"scenario: seed is {self.seed}; it must be 0 or positive")
         if any(site.slide for site in self.sites[:-1]):
             raise InputError("scenario: a slide is in contact to the end; the last site has it")
         if self.disturbances.moves_tissue and any(site.stiffening for site in self.sites):
@@ -451,12 +423,16 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "nothing"
 
 
-def _require_unit_axis(owner: str, axis: Axis) -> None:
-    if abs(math.hypot(*axis) - 1.0) > 1e-6:
-        raise InputError(
-            f"{owner}: axis is {list(axis)}; it must be a unit vector such as [0, 0, -1]"
-        )
-
+#: By class and field, what a text may be.
+_CHOICES: dict[tuple[type, str], Iterable[str]] = {
+    (Tissue, "draw"): TISSUES,
+    (Geometry, "kind"): _DIMENSIONS,
+    (ForceSensor, "message"): ("wrench", "joint_state"),
+    (DisplacementSensor, "message"): ("joint_state", "pose", "transform", "point"),
+    (Dropout, "stream"): ("force", "displacement", "both"),
+}
+#: Numbers that may be negative.
+_SIGNED = ("bias_n", "drift_n_per_s", "surface_m", "delay_s", "creep_n", "thermal_n")
 
 T = TypeVar("T")
 
@@ -472,9 +448,18 @@ def _build(cls: type[T], data: object, where: str) -> T:
     for name, item in known.items():
         if name not in mapping and item.default is MISSING and item.default_factory is MISSING:
             raise InputError(f"{where}: {name} is missing")
-    return cls(
-        **{key: _convert(value, hints[key], f"{where}: {key}") for key, value in mapping.items()}
-    )
+    values = {
+        key: _convert(value, hints[key], f"{where}: {key}") for key, value in mapping.items()
+    }
+    for name, value in values.items():
+        if choices := _CHOICES.get((cls, name)):
+            require_choice(f"{where}: {name}", value, choices)
+        if type(value) in (int, float) and name not in _SIGNED:
+            may_be_zero = known[name].default == 0
+            if value < 0 or (value == 0 and not may_be_zero):
+                words = "0 or positive" if may_be_zero else "positive"
+                raise InputError(f"{where}: {name} is {value}; it must be {words}")
+    return cls(**values)
 
 
 def _mapping(data: object, where: str) -> dict[str, Any]:
@@ -515,7 +500,10 @@ def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[An
     if not isinstance(value, list) or len(value) != count:
         raise InputError(f"{where} is {value!r}; it must be a list of {count}")
     names = [f"{where} {index}" for index in range(1, count + 1)]
-    return tuple(map(_convert, value, hints, names))
+    values = tuple(map(_convert, value, hints, names))
+    if hints == typing.get_args(Axis) and abs(math.hypot(*values) - 1.0) > 1e-6:
+        raise InputError(f"{where} is {value}; it must be a unit vector such as [0, 0, -1]")
+    return values
 
 
 def _press(value: object, where: str) -> Press:

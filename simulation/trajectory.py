@@ -11,32 +11,10 @@ undisturbed surface.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar
 
-from fden_ros.errors import InputError
 from simulation.closed_form import LinearMove, Move, SineMove
-
-
-def require_positive(owner: object, *names: str) -> None:
-    """Raise InputError unless the named fields of `owner` are positive and finite."""
-    _require(owner, names, lambda value: value > 0.0, "positive")
-
-
-def require_not_negative(owner: object, *names: str) -> None:
-    """Raise InputError unless the named fields of `owner` are finite and not negative."""
-    _require(owner, names, lambda value: value >= 0.0, "0 or positive")
-
-
-def _require(
-    owner: object, names: tuple[str, ...], holds: Callable[[float], bool], what: str
-) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        if value is not None and not (math.isfinite(value) and holds(value)):
-            kind = getattr(owner, "kind", type(owner).__name__.lower())
-            raise InputError(f"{kind}: {name} is {value}; it must be {what}")
 
 
 class Path:
@@ -101,16 +79,6 @@ class Approach:
     start_pause_s: float = 2.0  #: Time in the air before the first approach, for the tare
     site_pause_s: float = 3.0  #: Time in the air between sites; the probe moves sideways in it
 
-    def __post_init__(self) -> None:
-        require_positive(
-            self, "distance_m", "speed_m_per_s", "retract_speed_m_per_s", "site_pause_s"
-        )
-        require_not_negative(self, "slow_distance_m", "start_pause_s")
-        if self.slow_distance_m > self.distance_m:
-            raise InputError(
-                f"approach: slow_distance_m is {self.slow_distance_m}; at most distance_m is right"
-            )
-
     def descend(self, path: Path) -> None:
         """Bring the probe to the start of the press, unless it is nearer already."""
         near = -self.slow_distance_m / path.length_m
@@ -129,22 +97,15 @@ class Approach:
 class Trajectory:
     """The common part of all presses: the probe comes from the air, presses, and returns.
 
-    Its fields are positive but for those of `may_be_zero`; `strain_rate` is that of the
-    indentation, in 1/s.
+    `strain_rate` is that of the indentation, in 1/s.
     """
 
     kind: ClassVar[str]
-    may_be_zero: ClassVar[tuple[str, ...]] = ()
 
     @property
     def retract_rate(self) -> float | None:
         """Rate of strain of the retract in 1/s; None: by the approach's retract speed."""
         raise NotImplementedError
-
-    def __post_init__(self) -> None:
-        names = [field.name for field in fields(self)]
-        require_positive(self, *(name for name in names if name not in self.may_be_zero))
-        require_not_negative(self, *self.may_be_zero)
 
     def press(self, path: Path, approach: Approach) -> None:
         """Append the press to `path`: down, into the tissue, and back into the air."""
@@ -210,7 +171,6 @@ class Palpation(Trajectory):
     """Repeated presses of one place: ramp, hold, out of contact, pause, and again."""
 
     kind: ClassVar[str] = "palpation"
-    may_be_zero: ClassVar[tuple[str, ...]] = ("hold_s", "pause_s")
     strain_rate: float
     #: As in :class:`RampHold`
     max_strain: float
@@ -236,7 +196,6 @@ class Sinusoid(Trajectory):
     """A ramp to `mean_strain`, a hold, then whole cycles of a sine of `amplitude` around it."""
 
     kind: ClassVar[str] = "sinusoid"
-    may_be_zero: ClassVar[tuple[str, ...]] = ("hold_s",)
     strain_rate: float
     mean_strain: float
     amplitude: float
