@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, Writer
 from property_helpers import examples
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -57,9 +57,7 @@ def write_bag(folder: Path, count: int = 50, **options: Any) -> Path:
     return folder
 
 
-def write_mcap(
-    path: Path, stamps: Sequence[int], *, finish: bool = True, **options: Any
-) -> list[bytes]:
+def write_mcap(path: Path, stamps: Sequence[int], **options: Any) -> list[bytes]:
     """Write wrenches, numbered in the order of the file, with the options of the mcap package."""
     payloads = [serialize(wrench(i)) for i in range(len(stamps))]
     with path.open("wb") as file:
@@ -70,10 +68,7 @@ def write_mcap(
         channel = writer.register_channel("/force", "cdr", schema)
         for stamp, payload in zip(stamps, payloads, strict=True):
             writer.add_message(channel, stamp, payload, stamp)
-        if finish:
-            writer.finish()
-        else:
-            writer.flush()
+        writer.finish()
     return payloads
 
 
@@ -132,32 +127,6 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
 
 
 # Other tools
-
-
-@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {
-            "index_types": IndexType.NONE,
-            "use_statistics": False,
-            "repeat_channels": False,
-            "repeat_schemas": False,
-            "use_summary_offsets": False,
-        },
-        {"use_chunking": False},
-    ],
-    ids=["index", "no summary", "no chunks"],
-)
-def test_every_layout_of_a_file_gives_the_same_messages(tmp_path, compression, options):
-    path = tmp_path / "bag.mcap"
-    stamps = range(START, START + 400)
-    payloads = write_mcap(path, stamps, compression=compression, chunk_size=2000, **options)
-    bag = BagReader(path)
-    assert [message.data for message in bag.messages()] == payloads
-    assert bag.message_count == 400
-    assert bag.warnings == ()
 
 
 def test_split_bag_is_one_stream_by_time(tmp_path):
