@@ -29,6 +29,7 @@ from fden_ros.core.estimation.discrepancy import (
     CURVE,
     KERNEL,
     KERNEL_HATS,
+    KERNEL_SLOPES,
     RIG,
     between_rates,
     last_knot,
@@ -132,11 +133,14 @@ class _Past:
         changes = np.zeros((older.size, law.size))
         return cls(law.place.older_end, nodes, older, changes, bool(older.any()))
 
-    def free(self, back: Array, which: Indices) -> Free:
-        """Return the free surface; `back`: weights of the creep, the leading ones first."""
+    def free(self, back: Array, by_errors: Array, which: Indices) -> Free:
+        """Return the free surface.
+
+        `back`: weights of the creep, the leading ones first; `by_errors`: ln of these, by delta.
+        """
         own = back[:, 0]
         changes = own[:, None] * self.changes
-        changes[:, KERNEL] -= (own * self.lead)[:, None] * KERNEL_HATS[:-1]
+        changes[:, KERNEL] += (own * self.lead)[:, None] * by_errors
         return Free(self.end, back[:, 1 + which] * self.nodes, own * self.lead, changes)
 
     def after(self, press: Press, nodes: Array, lead: Array, changes: Array) -> _Past:
@@ -261,9 +265,24 @@ class Law:
         """Return the relaxation of nodes by its rates, (34, M)."""
         return relaxation(nodes[:, 0])
 
-    def creep(self, nodes: Array) -> Array:
-        """Return the creep of nodes by its rates, (33, M)."""
-        return creep(nodes[:, 0])
+    def creep(self, nodes: Array, errors: Array) -> tuple[Array, Array]:
+        """Return the creep of nodes by its rates, (33, M), and ln of the first by its errors.
+
+        A relaxation whose weights are h about the rate 1/t is there as t^-n, with n = alpha less
+        the slope of delta over ln t; the weights of the creep are (sin(pi n) / pi)^2 / (t h).
+
+        Parameters
+        ----------
+        errors : ndarray, shape (11, M)
+            delta at its knots.
+        """
+        orders = np.clip(nodes[:, 0], LOWEST_ORDER, HIGHEST_ORDER)
+        local = orders - KERNEL_SLOPES @ errors
+        inside = np.clip(local, LOWEST_ORDER, HIGHEST_ORDER)
+        ratio = np.sin(np.pi * inside) / np.sin(np.pi * orders)
+        by_slope = 2.0 * np.pi / np.tan(np.pi * inside[:, 0]) * (inside == local)[:, 0]
+        by_errors = -KERNEL_HATS[:-1] - by_slope[:, None] * KERNEL_SLOPES
+        return creep(orders) * ratio**2 * np.exp(-(KERNEL_HATS @ errors)[:-1]), by_errors
 
     def relaxed(self, node: Array, times: Array) -> Array:
         """Return what is left of a unit step after times [s]."""
@@ -359,7 +378,7 @@ class Law:
 
     # The stress of the cells
 
-    def kernels_of(self, nodes: Array, about: Expansion) -> tuple[Indices, Array, Array]:
+    def kernels_of(self, nodes: Array, about: Expansion) -> tuple[Indices, Array, Array, Array]:
         """Return the different relaxations of nodes, and of the expansion's node.
 
         Returns
@@ -367,16 +386,15 @@ class Law:
         which : ndarray, shape (M,)
         weights, back : ndarray, shape (34, 1 + kernels), (33, 1 + kernels)
             Of the relaxation and of its inverse; the expansion's own are the first.
+        by_errors : ndarray, shape (33, 11)
+            ln of the expansion's inverse, by delta at its knots.
         """
         keys = nodes[:, : self.kernels].round(12) @ np.array([1.0, 997.0])[: self.kernels]
         _, first, which = np.unique(keys, return_index=True, return_inverse=True)
         some = np.vstack([about.theta, nodes[first]])
-        error = KERNEL_HATS @ about.at(KERNEL, some)
-        return (
-            which.ravel(),
-            self.weights(some) * np.exp(error),
-            self.creep(some) * np.exp(-error[:-1]),
-        )
+        errors = about.at(KERNEL, some)
+        weights = self.weights(some) * np.exp(KERNEL_HATS @ errors)
+        return which.ravel(), weights, *self.creep(some, errors)
 
     def response(self, about: Expansion) -> Array:
         """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
@@ -387,7 +405,7 @@ class Law:
             about.at(self.moving),
         )
         weights = self.weights(node)[:, 0] * np.exp(error)
-        back = self.creep(node)[:, 0] * np.exp(-error[:-1])
+        back = self.creep(node, about.at(KERNEL)[:, None])[0][:, 0]
         past, end = place.older * math.exp(-about.log_g), place.older_end
         found: list[Array] = []
         for q, (press, points) in enumerate(zip(place.presses, place.point_slices, strict=True)):
@@ -413,7 +431,7 @@ class Law:
 
         Each press of the place meets the free surface of those before.
         """
-        which, weights, back = self.kernels_of(nodes, about)
+        which, weights, back, by_errors = self.kernels_of(nodes, about)
         sizes = [press.middles.size for press in self.place.presses]
         found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
         stresses, loads, gains, steepest = np.zeros((4, sum(sizes)))
@@ -425,7 +443,7 @@ class Law:
             if self.place.is_new_spot(q):
                 past, free = _Past.of(self, about, len(nodes), 0.0 * self.place.older), None
             elif past.is_pressed:
-                free = past.free(back, which)
+                free = past.free(back, by_errors, which)
             drive = self.drive(press, about.stresses[points], at, free)
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
                 -1, *press.memory.shape[1:]
@@ -530,9 +548,9 @@ class Plateau(Law):
         found[-2] = part
         return found
 
-    def creep(self, nodes: Array) -> Array:
+    def creep(self, nodes: Array, errors: Array) -> tuple[Array, Array]:
         """Return nothing: it is asked of the first press of a place alone."""
-        return np.zeros((CREEP_RATES.size, len(nodes)))
+        return np.zeros((CREEP_RATES.size, len(nodes))), np.zeros_like(KERNEL_SLOPES)
 
     def relaxed(self, node: Array, times: Array) -> Array:
         """Return what is left of a unit step after times [s]."""

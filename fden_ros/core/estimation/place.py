@@ -210,6 +210,11 @@ class PlacePosterior:
                 self._see_innovation(found)
         if self._is_due(block):
             self._lay()
+            # Blocks of slow sensors have the time of several rounds.
+            for _ in range(int((block.duration + block.step) / _ROUND_TIME) - 1):
+                if self.is_settled:
+                    break
+                self._lay()
         elif self._start is not None:
             self._lay_afresh(self._start)
         elif self._rival.is_due(self._laid_at[0]):
