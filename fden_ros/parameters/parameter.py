@@ -10,29 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from fden_ros.core.parameter import Described
 from fden_ros.errors import InputError
 
 Value = bool | int | float | str | list[float]
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of the identifier.
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Described):
+    """One parameter of the identifier, with its default as a parameter file has it."""
 
-    Its fields are those of :func:`fden_ros.core.parameter.parameter`, but for a default as a
-    parameter file has it.
-    """
-
-    name: str
     default: Value
-    description: str
-    unit: str = "1"
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[str, ...] = ()
-    may_be_zero: bool = False
-    most: int = 0
 
     @property
     def group(self) -> str:

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law import GeometryConfig, Sphere, TorsionalRheometer
-from fden_ros.core.parameter import parameter
+from fden_ros.core.parameter import DESCRIBED, Described, parameter
 from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.message_kinds import FORCES, PLACES
@@ -157,7 +157,7 @@ class Parameters:
 
     def as_dict(self) -> dict[str, Value]:
         """Return every value by the parameter's name, lists as a parameter file has them."""
-        return {leaf.metadata["name"]: _plain(value) for leaf, value in _leaves(self)}
+        return {described.name: _plain(value) for described, value in _leaves(self)}
 
     def changed(self, values: Mapping[str, object]) -> Parameters:
         """Return these parameters with others in place of some."""
@@ -171,12 +171,12 @@ class Parameters:
         return found
 
 
-def _leaves(settings: Any) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
-    """Yield every field that is a parameter, and its value."""
+def _leaves(settings: Any) -> Iterator[tuple[Described, Any]]:
+    """Yield the description of every field that is a parameter, and its value."""
     for leaf in dataclasses.fields(settings):
         value = getattr(settings, leaf.name)
         if leaf.metadata:
-            yield leaf, value
+            yield leaf.metadata[DESCRIBED], value
         elif dataclasses.is_dataclass(value):
             yield from _leaves(value)
 
@@ -185,9 +185,9 @@ def _changed(settings: _Settings, values: Mapping[str, Any]) -> _Settings:
     """Return a dataclass with values, by the names of parameters, in place of some."""
     changes: dict[str, Any] = {}
     for leaf in dataclasses.fields(settings):  # type: ignore[arg-type]
-        value, name = getattr(settings, leaf.name), leaf.metadata.get("name", "")
-        if name in values:
-            changes[leaf.name] = type(value)(values[name])
+        value, described = getattr(settings, leaf.name), leaf.metadata.get(DESCRIBED)
+        if described is not None and described.name in values:
+            changes[leaf.name] = type(value)(values[described.name])
         elif dataclasses.is_dataclass(value):
             changes[leaf.name] = _changed(value, values)
     return dataclasses.replace(settings, **changes)  # type: ignore[type-var]
@@ -201,9 +201,7 @@ def _plain(value: Any) -> Value:
 
 def _described(settings: Any) -> tuple[Parameter, ...]:
     """Return the parameters with each group together, where its first one stands."""
-    found = [
-        Parameter(default=_plain(value), **leaf.metadata) for leaf, value in _leaves(settings)
-    ]
+    found = [Parameter(default=_plain(v), **vars(own)) for own, v in _leaves(settings)]
     groups = list(dict.fromkeys(one.group for one in found))
     return tuple(sorted(found, key=lambda one: groups.index(one.group)))
 
