@@ -54,7 +54,7 @@ class State(enum.Enum):
         return self not in (State.AIR_CHECK, State.CLOSED)
 
     @property
-    def is_untold(self) -> bool:
+    def lacks_summary(self) -> bool:
         """Whether no summary has been given."""
         return self.is_learning or self is State.RELEASED
 
@@ -254,7 +254,7 @@ class Contact:
         self._go(Event.EXCEPTION)
         if before.has_left:
             self._go(Event.RELEASE)
-        if before.is_untold:
+        if before.lacks_summary:
             yield self._account.summary(stamp_ns, stamp_ns, complete=False)
 
     # The air after the contact

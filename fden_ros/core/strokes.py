@@ -68,7 +68,7 @@ class Strokes:
         if frequency is None or unseen_ns is None:
             return
         if (pair.stamp_ns - unseen_ns) / NANOSECONDS * frequency > _LEAST_PERIODS:
-            self._tell()
+            self._detect()
 
     def touch(self, onset: Onset) -> None:
         """Add the beginning of a contact."""
@@ -84,12 +84,12 @@ class Strokes:
         self._surface = onset.displacement
         self._deepest = onset.samples[-1].displacement
         if self._count >= _LEAST_STROKES:
-            self._tell()
+            self._detect()
 
     def release(self) -> None:
         """Add the end of a contact."""
         self._unseen_ns = None
         self._lowest = self._deepest
 
-    def _tell(self) -> None:
+    def _detect(self) -> None:
         self.frequency = self.frequency or self._finder.value
