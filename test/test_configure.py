@@ -115,6 +115,7 @@ def test_a_whole_recording_tells_everything():
     judged = judge(found, rig.truth)
     assert not judged.misses
     assert set(judged.errors) >= {"delay", "compliance", "tool mass", "force axis"}
+    assert max(abs(error) for errors in judged.errors.values() for error in errors) < 4.0
 
 
 @pytest.mark.parametrize(
