@@ -103,7 +103,7 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._tails: list[Press] = []  #: of the press, since the newest grid
-        self._blocks = 0
+        self._blocks, self._middle = 0, 0.0  #: and the time of the newest [s]
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
         self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
@@ -173,7 +173,7 @@ class PlacePosterior:
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self._tails, self.now = touch, None, [], now
-        self._began, self._steps, self._blocks = now, 0, 0
+        self._began, self._steps, self._blocks, self._middle = now, 0, 0, now
         self._is_pressed = self.has_slowed = self.is_changed = False
         self._fastest = self._largest = self._afresh_at = 0.0
         self._beyond, self._start = [], None
@@ -198,6 +198,7 @@ class PlacePosterior:
 
     def _append(self, block: Block) -> None:
         self._blocks += 1
+        before, self._middle = self._middle, block.middle
         if block.is_observed:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block.slope)
@@ -211,7 +212,7 @@ class PlacePosterior:
         if self._is_due(block):
             self._lay()
             # Blocks of slow sensors have the time of several rounds.
-            for _ in range(int((block.duration + block.step) / _ROUND_TIME) - 1):
+            for _ in range(int((block.middle - before) / _ROUND_TIME) - 1):
                 if self.is_settled:
                     break
                 self._lay()
