@@ -32,8 +32,11 @@ from fden_ros.core.law import RATE_COUNT, RATES
 CREEP_RATES: Array = np.append(RATES, 0.0)
 #: The stress falls to 0 within this time at the end of a press [s].
 _LETTING_GO = 1e-3
-#: A rise is cut where it is longer than this part of the largest indentation [1].
-_DEPTH_STEPS = 160.0
+#: Parts into which the way to the largest indentation is cut [1], and what it counts less where
+#: the motion begins: the stress bends most where it is largest.
+_DEPTH_STEPS, _LEAST_DEPTH = 80.0, 0.4
+#: Sharpest corners of the motion that are kept [1].
+_CORNERS = 12
 #: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
 _FORGOTTEN = -60.0
 
@@ -307,14 +310,18 @@ def _points(rows: _Rows, ends: Array) -> Array:
     """
     times, motion = rows.times, rows.indentations
     deepest = max(float(motion.max()), 1e-9)
-    gone = np.cumsum(np.abs(np.diff(motion, prepend=motion[0]))) + 1e-12 * np.arange(times.size)
-    tick = max(deepest, 0.5 * float(gone[-1])) / _DEPTH_STEPS
+    depth = np.maximum(motion, 0.0) / deepest
+    share = _LEAST_DEPTH + (1.0 - _LEAST_DEPTH) * depth**2
+    gone = np.cumsum(np.abs(np.diff(motion, prepend=motion[0])) * share)
+    gone += 1e-12 * np.arange(times.size)
+    way = deepest * (1.0 + 2.0 * _LEAST_DEPTH) / 3.0
+    tick = max(way, 0.5 * float(gone[-1])) / _DEPTH_STEPS
     taken = np.sort(np.interp(ends, times, gone))
     ticks = np.arange(gone[0], gone[-1], tick)
     near = np.searchsorted(taken, ticks).clip(1, taken.size - 1)
     far = np.minimum(np.abs(taken[near] - ticks), np.abs(taken[near - 1] - ticks)) > 0.5 * tick
     by_depth = np.interp(ticks[far], gone, times)
-    sharpest = np.argsort(-rows.corners, kind="stable")[:30]
+    sharpest = np.argsort(-rows.corners, kind="stable")[:_CORNERS]
     first = rows.first[0]
     early = times[(times <= times[first] + 0.02) | (np.arange(times.size) < first)]
     nodes = np.concatenate([ends, times[sharpest], by_depth, early[-20:], times[[0, -1]]])
