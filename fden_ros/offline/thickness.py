@@ -9,8 +9,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from scipy.optimize import brentq
-
 from fden_ros.core.law import FlatPunch, Geometry, Sphere, hayes_factor
 from fden_ros.core.plausibility import UNKNOWN_AREA
 from fden_ros.written import quantity
@@ -39,6 +37,8 @@ def assumed(geometry: Geometry, deepest: float = 0.0) -> str:
 
 def _of_sphere(sphere: Sphere, deepest: float) -> str:
     layer, shown = replace(sphere, thickness=sphere.radius), 2.0 * sphere.radius
+    from scipy.optimize import brentq  # takes 0.2 s to import, and few probes need it
+
     ratio = float(brentq(lambda u: _raised(layer, u * layer.thickness) - _GOOD, 1e-9, 1.0))
     words = (
         "geometry.thickness is not stated, so the tissue counts as thick. On a rigid base this "

@@ -172,6 +172,7 @@ class GridEstimator(Estimator):
         for one in self._hypotheses:
             one.place.release()
         self._hypotheses = self._possible(_ODDS)
+        self.best.ask_rival()
         return self.estimate()._replace(components=_components(self._parts()))
 
     def _possible(self, odds: float) -> list[_Hypothesis]:

@@ -490,6 +490,12 @@ def _is_near(law: Law, box: Box, other: Box) -> bool:
     return bool(np.all(moved < 0.4) and np.all((ratio > 0.7) & (ratio < 1.4)))
 
 
+def leads_to(grid: Grid, other: Grid) -> bool:
+    """Whether the rounds of a grid are about to end where another one is, of the same record."""
+    own, there = grid.after, other.after
+    return own.scales == there.scales and _is_near(grid.law, own.box, there.box)
+
+
 def whitened(
     law: Law, covariance: Covariance, scales: Scales, cells: Cells
 ) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ from fden_ros.core.estimation.grid import (
     begun,
     continued,
     laid,
+    leads_to,
     log_evidence_of,
     solve,
 )
@@ -41,7 +42,7 @@ from fden_ros.core.law import Geometry
 #: Blocks and time [s] from the touch that the first grid of a press needs.
 _LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
 #: A grid is laid anew where depth or time have grown by this factor [1].
-_GROWTH = 1.25
+_GROWTH = 1.4
 #: Cells of a press while it is open, when it is gathered anew, and of one that has ended [1].
 _GATHERED, _MOST, _ENDED = 40, 72, 40
 #: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
@@ -53,9 +54,9 @@ _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: rounds [s].
 _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
-#: last [1], and at its end: scales that were small are left only where the columns are those of
-#: larger ones, and the log evidence was up to 15 lower.
-_AFRESH = 2.0
+#: last [1], and by the second at its end: scales that were small are left only where the columns
+#: are those of larger ones, and the log evidence was up to 15 lower.
+_AFRESH, _AFRESH_END = 2.0, 1.4
 #: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
 #: blocks in a row: the tissue has changed. A smaller part is an error of law or rig.
 _GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
@@ -349,7 +350,9 @@ class PlacePosterior:
         about = own.law.stressed(start.about)
         grid = laid(own.law, own.noise, start._replace(about=about))
         self._start = grid.after if grid.after.rounds < _LAST_ROUNDS else None
-        if grid.is_settled:
+        if leads_to(grid, own):
+            self._start = None
+        elif grid.is_settled:
             self._start = None
             if _likelier(own, grid) is grid:
                 self._take(grid)
@@ -370,19 +373,22 @@ class PlacePosterior:
             self._append(block)
         if self._press is not None:
             self._lay(most=_ENDED)
-            if self.filter is not None:
+            if self.filter is not None and self.elapsed > _AFRESH_END * self._afresh_at:
                 own = self.filter.grid
                 self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
             for _ in range(_LAST_ROUNDS):
                 if self.is_settled:
                     break
                 self._lay()
-            if self.filter is not None:
-                self._rival.end(self.filter)
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
             self._forget()
+
+    def ask_rival(self) -> None:
+        """Find the probability of a plateau at the end of the press."""
+        if self.filter is not None:
+            self._rival.end(self.filter)
 
     def _forget(self) -> None:
         """Keep of the oldest press what the tissue remembers."""

@@ -50,7 +50,7 @@ class Rival:
             return True
         if elapsed < _GROWTH * self._asked_at:
             return False
-        self._asked_at, self._grid, self._rounds = elapsed, None, 0
+        self._asked_at, self._rounds = elapsed, 0
         return True
 
     def lay(self, state: Filter) -> None:
@@ -65,6 +65,8 @@ class Rival:
         else:
             # The law's grid may be of a longer record by now.
             start = before.after._replace(about=law.stressed(before.after.about))
+            if not self._rounds:
+                start = start._replace(is_continued=before.is_settled, rounds=0)
         try:
             self._grid = laid(law, own.noise, start)
         except np.linalg.LinAlgError:
