@@ -43,7 +43,7 @@ wheel: setup
 
 test:
 	@echo "make test: set-up where it is missing (3 min), ruff and mypy (under 1 min), then every test but"
-	@echo "statistics, in two processes, over DDS on this host alone: some 10 min on two idle cores"
+	@echo "statistics, in two processes, over DDS on this host alone: some 7 min on two idle cores"
 	@$(MAKE) --no-print-directory lint
 	@$(ENV) scripts/size
 	@$(PYTEST) $(PYTEST_ARGS)
