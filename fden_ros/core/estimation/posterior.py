@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.arrays import Array, Indices
+from fden_ros.core.estimation.covariance import Scales
 from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, RIG, splines
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.filter import Filter
@@ -221,29 +222,35 @@ class Posterior:
         """Return the parts of the variances of ln G and ln Gn by source; they add up to these.
 
         About the mean an estimate is a line in the data: its variance is the sum of what each part
-        of S makes of it, and of the prior.
+        of S makes of it, and of the prior, in the mean over the scales.
         """
+        grid = self.grid
+        jacobian, variance = self._jacobian(), grid.law.config.uncertainty.thickness_sd**2
+        each = [(weight, self._shares(jacobian, scales)) for scales, weight in grid.scales]
+        parts = {name: sum(weight * own[name] for weight, own in each) for name in each[0][1]}
+        now = np.diag(self.tissue[1])[:2] - variance
+        factors = now / np.maximum(sum(parts.values()), 1e-30)
+        found = {name: tuple((factors * part).tolist()) for name, part in parts.items()}
+        return found | {"thickness": (variance, variance)}
+
+    def _shares(self, jacobian: Array, scales: Scales) -> dict[str, Array]:
+        """Return the parts at some scales, (2,) each."""
         grid, law = self.grid, self.grid.law
-        scales = grid.start.scales
-        jacobian, is_open = self._jacobian(), np.append(True, open_of(law))
+        is_open = np.append(True, open_of(law))
         lower = cholesky(grid.covariance.at(scales))
         white = solved(lower, jacobian[:, is_open])
         sds = np.append(law.config.prior.linear_stiffness_log_sd, law.coordinates[1])[is_open]
         covariance = np.linalg.inv(white.T @ white + np.diag(sds**-2.0))
         gain = covariance @ solved(lower, white, trans=1).T
         at = [0, int(is_open[: 1 + law.kernels].sum())]
+        gain, own = gain[at], covariance[at] ** 2 / sds**2
         parts = {
-            name: (gain @ part @ gain.T).diagonal()
+            name: np.einsum("ij,jk,ik->i", gain, part, gain)
             for name, part in grid.covariance.parts(scales).items()
         }
-        own = (covariance**2 / sds**2).T
-        parts["surface"] = parts.get("surface", 0.0) + own[-1] * is_open[-1]
-        parts["prior"] = own[: len(own) - bool(is_open[-1])].sum(axis=0)
-        now = np.diag(self.tissue[1])[:2] - law.config.uncertainty.thickness_sd**2
-        factors = now / np.maximum(covariance.diagonal()[at], 1e-30)
-        found = {name: tuple((factors * part[at]).tolist()) for name, part in parts.items()}
-        thickness = law.config.uncertainty.thickness_sd**2
-        return found | {"thickness": (thickness, thickness)}
+        surface = own[:, -1] * is_open[-1]
+        parts["surface"] = parts.get("surface", 0.0) + surface
+        return parts | {"prior": own.sum(axis=1) - surface}
 
     def _jacobian(self) -> Array:
         """Return the derivatives of the cells' stress by (ln G, theta), (N, 1 + d)."""
