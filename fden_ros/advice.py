@@ -38,7 +38,7 @@ TOUCH_NOT_OBSERVED | the touch was not observed: the recording lacks it, or nois
 ESTIMATION_FAILED | the computation failed at this site: there is no estimate before the next site
   | report it, with the traceback of the log
 MODEL_MISMATCH | the model does not describe this contact: it mispredicts the force
-  | rely on the measured slope
+  | rely on the measured slope, and measure the delay with fden configure
 TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deep
 ALPHA_PRIOR_CONFLICT | the relaxation contradicts the stated alpha
   | learn alpha from the data (alpha.learn: true), or state that of this tissue

@@ -32,11 +32,13 @@ from fden_ros.core.estimation.grid import (
     Grid,
     Stiffness,
     cut,
+    least_effective,
     log_evidence_of,
     log_sum,
     of_stiffness,
     prior_of_log_g,
     solved,
+    tempered,
     whitened,
 )
 from fden_ros.core.estimation.law import of_cells
@@ -74,7 +76,9 @@ class Filter:
         Ln G, its variance and the log evidence of all nodes, mixed over the scales. These are
         weighed at a laying; between two the likelihood under the leading ones counts.
     weights : ndarray, shape (M,)
-        Of the nodes.
+        Of the nodes; tempered where these are too coarse for the posterior.
+    is_coarse : bool
+        They are.
     log_evidence : float
         Of the record by now.
     products : ndarray, shape (k, 1 + d + k + M)
@@ -85,6 +89,7 @@ class Filter:
 
     stiffness: Stiffness
     weights: Array
+    is_coarse: bool
     log_evidence: float
 
     def __init__(self, grid: Grid) -> None:
@@ -163,7 +168,10 @@ class Filter:
             mixed.log + now.log - first.log,
         )
         log = self.stiffness.log + grid.log_prior
-        self.weights = np.exp(cut(grid.law, grid.nodes, log))
+        # Nodes too far apart for their posterior: one of them alone would seem to know it.
+        own = cut(grid.law, grid.nodes, log)
+        self.weights, beta = tempered(own, least_effective(grid.law))
+        self.is_coarse = beta < 1.0
         self.log_evidence = log_evidence_of(grid.law, log)
 
     @property

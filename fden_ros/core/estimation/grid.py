@@ -42,6 +42,11 @@ _LEAST_EFFECTIVE = 0.46
 _LEAST_GAIN = 0.5
 #: A grid is settled where its log evidence has changed by less than this [1].
 _SETTLED_GAIN = 0.5
+#: The law does not describe data whose chi squared is above this times the cells, and as many of
+#: its standard deviations above them [1].
+_MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
+#: A rough error of the stress counts as in so many independent cells [1].
+_ROUGH_CELLS = 16
 #: Nodes at which scales are weighed.
 _FEW = 6
 #: A change of the law's errors that is taken as it is [1].
@@ -226,7 +231,7 @@ def tempered(log: Array, least: float) -> tuple[Array, float]:
     return weights(low), low
 
 
-def _least_effective(law: Law) -> float:
+def least_effective(law: Law) -> float:
     """Return the effective number of nodes, 1 / sum w^2, that a grid has at least.
 
     A Gaussian of unit variance has sqrt(4 pi) / h of them at a distance of h.
@@ -264,6 +269,8 @@ class Grid:
         Of theta, with the volume of a cell.
     is_settled : bool
         The grid resolves the posterior, and another round would change nothing.
+    chi_squared : float
+        Of the cells at the likeliest node.
     """
 
     law: Law
@@ -280,6 +287,14 @@ class Grid:
     scales: list[tuple[Scales, float]]
     is_settled: bool
     after: Start
+    chi_squared: float
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether no node explains the data: by chi squared, in spite of all that is unknown."""
+        count = len(self.lower)
+        beyond = self.chi_squared - count > _MISFIT_DEVIATIONS * math.sqrt(2.0 * count)
+        return self.is_settled and beyond and self.chi_squared > _MISFIT * count
 
     @property
     def about(self) -> Expansion:
@@ -348,12 +363,14 @@ def begun(law: Law, noise: Noise) -> Start:
     about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n))
     nodes, _ = _nodes(law, Box(mean, np.diag(sds)), law.broad, 2.4)
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
+    # It is that of a whole press, not of each cell anew.
+    rough *= math.sqrt(max(stresses.size / _ROUGH_CELLS, 1.0))
     white = law.responses(nodes, about)[0] / rough[:, None]
     y = stresses / rough
     found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     best = int(np.argmax(log))
-    weights, _ = tempered(log, _least_effective(law))
+    weights, _ = tempered(log, least_effective(law))
     box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
     middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
     scales = min(
@@ -437,8 +454,8 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
 def laid(law: Law, noise: Noise, start: Start) -> Grid:
     """Lay a grid: one round."""
     own = _weighed(law, noise, start)
-    linear, covariance, nodes, cells, log_prior, lower, white, _, _, log = own
-    weights, beta = tempered(log, _least_effective(law))
+    linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
+    weights, beta = tempered(log, least_effective(law))
     is_coarse = beta < 1.0
     has_moments = law.has_close_nodes and not is_coarse
     box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
@@ -456,9 +473,10 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     else:
         mixed = _led(own, start.scales, mixture)
     after = Start(about, box, scales, total, rounds=start.rounds + 1)
+    chi_squared = float(np.sum(residual[:, int(np.argmax(log))] ** 2))
     return Grid(
         law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, mixed,
-        mixture, settled, after,
+        mixture, settled, after, chi_squared,
     )  # fmt: skip
 
 
@@ -547,37 +565,77 @@ def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
 
 
 def _around(law: Law, own: _Weighed, start: Start) -> Box:
-    """Return the box of a Gaussian about the best node: the nodes are too far apart for moments.
+    """Return the box of a Gaussian about a likely theta: nodes are too far apart for moments.
 
-    By a step of Gauss and Newton, at most as far as the nodes are apart.
+    From the best node at each ln Gn by a step of Gauss and Newton, at most as far as the nodes are
+    apart: the likeliest of these. The best node alone may be of another mode, that is broader.
     """
-    box, is_open, best = start.box, open_of(law), int(np.argmax(own.log))
-    middle, steps = own.nodes[best].copy(), 0.05 * np.maximum(box.deviations[is_open], 1e-12)
-    moves = np.diag(0.05 * np.maximum(box.deviations, 1e-12))[is_open]
-    responses, _ = law.responses(np.vstack([middle, middle + moves]), start.about)
-    changes = own.cells.y[:, 1:] @ moves.T
-    y = own.cells.some(np.array([best])).own
-    white = solved(own.lower, np.hstack([y, responses, changes]))
-    d = steps.size
-    base, moved, shifts = white[:, 1], white[:, 2 : 2 + d], white[:, 2 + d :]
-    g = max(float(white[:, 0] @ base), 1e-300) / max(float(base @ base), 1e-300)
-    jacobian = np.column_stack([g * base, (g * (moved - base[:, None]) - shifts) / steps])
+    box, is_open, k = start.box, open_of(law), law.kernels
+    places = np.linalg.solve(
+        box.lower + np.diag(np.where(is_open, 0.0, 1.0)), (own.nodes - box.mean).T
+    )[k]
+    order = np.lexsort((-own.log, places.round(6)))
+    heads = order[np.unique(places[order].round(6), return_index=True)[1]]
+    sds = np.maximum(box.deviations, 1e-12)
+    moves = np.diag(0.05 * sds)[is_open]
+    nodes = own.nodes[heads]
+    around = np.concatenate([nodes, *(nodes + move for move in moves)])
+    white = solved(
+        own.lower,
+        np.hstack(
+            [
+                own.cells.some(heads).own,
+                law.responses(around, start.about)[0],
+                own.cells.y[:, 1:] @ moves.T,
+            ]
+        ),
+    )
+    m, d = len(heads), len(moves)
+    found = [
+        _stepped(law, box, nodes[i], white[:, i], white[:, m + i : m * (d + 2) : m], white[:, -d:])
+        for i in range(m)
+    ]
+    ends = np.array([one.mean for one in found])
+    cells = Cells(own.cells.y, ends - start.about.theta, law.responses(ends, start.about)[0])
+    y, rows = solved(own.lower, cells.own), solved(own.lower, cells.responses)
+    a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", y, rows)
+    log = of_stiffness(a, b, *prior_of_log_g(law)).log - 0.5 * np.einsum("ij,ij->j", y, y)
+    return found[int(np.argmax(log + log_prior_of(law, ends)))]
+
+
+def _stepped(law: Law, box: Box, middle: Array, y: Array, responses: Array, shifts: Array) -> Box:
+    """Return the box after a step of Gauss and Newton from a node.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        Whitened.
+    responses, shifts : ndarray, shape (N, 1 + d), (N, d)
+        Whitened, of the node and of d moves by 0.05 of the box, and what these add to y.
+    """
+    is_open = open_of(law)
+    steps, base = 0.05 * np.maximum(box.deviations[is_open], 1e-12), responses[:, 0]
+    g = max(float(y @ base), 1e-300) / max(float(base @ base), 1e-300)
+    jacobian = np.column_stack(
+        [g * base, (g * (responses[:, 1:] - base[:, None]) - shifts) / steps]
+    )
     (mean, sds), at = law.coordinates, np.ix_(is_open, is_open)
     mean_g, sd_g = prior_of_log_g(law)
     sds = np.append(sd_g, sds[is_open])
     off = np.append(math.log(g) - mean_g, (middle - mean)[is_open])
     found = np.linalg.inv(jacobian.T @ jacobian + np.diag(sds**-2.0))
-    step = (found @ (jacobian.T @ (white[:, 0] - g * base) - off / sds**2))[1:]
+    step = (found @ (jacobian.T @ (y - g * base) - off / sds**2))[1:]
     most = 1.5 * box.deviations[is_open]
     step /= max(1.0, float(np.max(np.abs(step) / most)))
-    middle[is_open] += step
-    while not law.inside(middle[None])[0]:
+    end = middle.copy()
+    end[is_open] += step
+    while not law.inside(end[None])[0]:
         step *= 0.5
-        middle[is_open] -= step
+        end[is_open] -= step
     root = np.zeros_like(box.lower)
     # Wide: the next grid finds what it is.
     root[at] = np.linalg.cholesky(2.0 * found[1:, 1:] + np.diag((0.02 * most) ** 2))
-    return Box(middle, root)
+    return Box(end, root)
 
 
 def _between(box: Box, other: Box) -> Box:

@@ -58,10 +58,13 @@ _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: are those of larger ones, and the log evidence was up to 15 lower.
 _AFRESH, _AFRESH_END = 2.0, 1.4
 #: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
-#: blocks in a row: the tissue has changed. A smaller part is an error of law or rig.
-_GATE, _GATE_PART, _GATE_BLOCKS = 4.0, 0.04, 3
-#: Or two in a row whose squares add up to this, while no grid is settled [1].
-_UNSETTLED = 1000.0
+#: blocks in a row: the tissue has changed, unless the probe retreats within this time [s]. A
+#: smaller part is an error of law or rig.
+_GATE, _GATE_PART, _GATE_BLOCKS, _GATE_TIME = 4.0, 0.04, 3, 0.08
+#: Or one block is beyond as many and this part [1] while the probe advances: it has slipped.
+_SLIP, _SLIP_PART = 8.0, 0.15
+#: A probe moves above this part of its largest speed [1].
+_MOVING = 0.05
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
 
@@ -108,7 +111,8 @@ class PlacePosterior:
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
         self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
-        self._beyond: list[float] = []  #: squares of the newest innovations, while they are beyond
+        self._beyond = 0  #: newest blocks in a row that are beyond the gate
+        self._suspected_at = math.inf  #: when these were as many as a change [s]
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
         self._rival = Rival()
@@ -122,8 +126,8 @@ class PlacePosterior:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether the newest block is beyond the gate."""
-        return bool(self._beyond)
+        """Whether the newest block is beyond the gate, or a change is suspected."""
+        return self._beyond > 0 or self._suspected_at < math.inf
 
     @property
     def elapsed(self) -> float:
@@ -155,8 +159,9 @@ class PlacePosterior:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the newest grid resolves the posterior."""
-        return self.filter is not None and self.filter.grid.is_settled
+        """Whether the newest grid resolves the posterior by now."""
+        own = self.filter
+        return own is not None and own.grid.is_settled and not own.is_coarse
 
     # A press
 
@@ -177,7 +182,7 @@ class PlacePosterior:
         self._began, self._steps, self._blocks, self._middle = now, 0, 0, now
         self._is_pressed = self.has_slowed = self.is_changed = False
         self._fastest = self._largest = self._afresh_at = 0.0
-        self._beyond, self._start = [], None
+        self._beyond, self._suspected_at, self._start = 0, math.inf, None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -207,9 +212,10 @@ class PlacePosterior:
             assert self.filter is not None
             tail = self.filter.path.tail(block, self.noise_sd)
             self._tails.append(tail)
+            is_settled = self.is_settled
             found = self.filter.append(tail)
             if found is not None:
-                self._see_innovation(found)
+                self._see_innovation(found, is_settled=is_settled)
         if self._is_due(block):
             self._lay()
             # Blocks of slow sensors have the time of several rounds.
@@ -223,20 +229,25 @@ class PlacePosterior:
             assert self.filter is not None
             self._rival.lay(self.filter)
 
-    def _see_innovation(self, found: CellInnovation) -> None:
+    def _see_innovation(self, found: CellInnovation, *, is_settled: bool) -> None:
         """Take an innovation: some beyond the gate in a row, and the tissue has changed.
 
-        Or it is another one: a grid that is laid anew would take it for an error of the law.
+        A force that is ahead of the motion falls before the probe retreats: that is waited for.
+        `is_settled`: the grid that predicted the block was.
         """
         self.innovation = found
         self._largest = max(self._largest, abs(found.predicted + found.innovation))
-        square = found.normalized_squared
-        is_large = abs(found.innovation) > _GATE_PART * self._largest
-        self._beyond = [*self._beyond, square] if is_large and square > _GATE**2 else []
-        count, total = len(self._beyond), sum(self._beyond)
-        self.is_changed |= (
-            count >= _GATE_BLOCKS if self.is_settled else (count > 1 and total > _UNSETTLED)
-        )
+        speed = float(self._tails[-1].speeds[-1]) / max(self._fastest, 1e-12)
+        if speed < -_MOVING:
+            self._beyond, self._suspected_at = 0, math.inf
+            return
+        deviations = math.sqrt(found.normalized_squared) if is_settled else 0.0
+        part = abs(found.innovation) / max(self._largest, 1e-12)
+        self._beyond = self._beyond + 1 if deviations > _GATE and part > _GATE_PART else 0
+        if self._beyond == _GATE_BLOCKS:
+            self._suspected_at = min(self._suspected_at, self.now)
+        has_slipped = speed > _MOVING and deviations > _SLIP and part > _SLIP_PART
+        self.is_changed |= has_slipped or self.now - self._suspected_at > _GATE_TIME
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
@@ -260,11 +271,11 @@ class PlacePosterior:
             return True
         if elapsed - time < _ROUND_TIME:
             return False
-        if self._beyond:
+        if self.is_beyond:
             return False
         grid = self.filter.grid
         is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
-        if not grid.is_settled and not is_given_up:
+        if not self.is_settled and not is_given_up:
             return True
         if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
             return True
