@@ -42,7 +42,7 @@ from fden_ros.core.law import Geometry
 #: Blocks and time [s] from the touch that the first grid of a press needs.
 _LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
 #: A grid is laid anew where depth or time have grown by this factor [1].
-_GROWTH = 1.4
+_GROWTH = 1.25
 #: Cells of a press while it is open, when it is gathered anew, and of one that has ended [1].
 _GATHERED, _MOST, _ENDED = 40, 72, 40
 #: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
