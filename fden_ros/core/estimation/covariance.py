@@ -20,7 +20,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -276,9 +275,11 @@ def _order_of(law: Law, about: Expansion) -> float:
     return max(round(float(about.theta[0]), 3), 1e-3) if law.has_kernel_error else 0.3
 
 
-def near(grid: Sequence[Scales], scales: Scales) -> list[Scales]:
-    """Return the places of a grid that are next to one in each size, with itself."""
+@functools.lru_cache(maxsize=256)
+def near(uncertainty: Uncertainty, scales: Scales) -> list[Scales]:
+    """Return the places of the grid of scales that are next to one in each size, with itself."""
+    grid = scales_of(uncertainty)
     sizes = np.array([one.sizes for one in grid])
     places = np.array([np.unique(column, return_inverse=True)[1].ravel() for column in sizes.T]).T
-    apart = np.abs(places - places[list(grid).index(scales)])
+    apart = np.abs(places - places[grid.index(scales)])
     return [one for one, far in zip(grid, apart.max(axis=1).tolist(), strict=True) if far <= 1]

@@ -488,7 +488,7 @@ def _likely_scales(
     With their weights, by the best nodes alone.
     """
     few = np.argsort(-own.log)[:_FEW]
-    places = near(scales_of(law.config.uncertainty), start.scales)
+    places = near(law.config.uncertainty, start.scales)
     logs = table(law, own.covariance, places, own.cells.some(few)).log + own.log_prior[few]
     sums = log_sum(logs, 1)
     gain = 4.0 * _LEAST_GAIN if start.rounds >= _DAMPED_FROM else _LEAST_GAIN
