@@ -112,6 +112,7 @@ class PlacePosterior:
         self._fastest = self._largest = 0.0
         self.has_slowed = self.is_changed = False
         self._beyond = 0  #: newest blocks in a row that are beyond the gate
+        self._side = False  #: whether the newest is above its prediction
         self._suspected_at = math.inf  #: when these were as many as a change [s]
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
@@ -241,13 +242,20 @@ class PlacePosterior:
         if speed < -_MOVING:
             self._beyond, self._suspected_at = 0, math.inf
             return
-        deviations = math.sqrt(found.normalized_squared) if is_settled else 0.0
-        part = abs(found.innovation) / max(self._largest, 1e-12)
-        self._beyond = self._beyond + 1 if deviations > _GATE and part > _GATE_PART else 0
+        deviations = math.sqrt(found.normalized_squared)
+        part, side = abs(found.innovation) / max(self._largest, 1e-12), found.innovation > 0.0
+        # The block may have left few nodes: one of these near the tissue is off to either side.
+        counts = is_settled or (self._beyond > 0 and side == self._side)
+        is_beyond = counts and deviations > _GATE and part > _GATE_PART
+        self._beyond, self._side = self._beyond + 1 if is_beyond else 0, side
+        if not (is_beyond or is_settled):
+            self._suspected_at = math.inf
         if self._beyond == _GATE_BLOCKS:
             self._suspected_at = min(self._suspected_at, self.now)
-        has_slipped = speed > _MOVING and deviations > _SLIP and part > _SLIP_PART
-        self.is_changed |= has_slipped or self.now - self._suspected_at > _GATE_TIME
+        is_large = is_settled and deviations > _SLIP and part > _SLIP_PART
+        self.is_changed |= (
+            is_large and speed > _MOVING
+        ) or self.now - self._suspected_at > _GATE_TIME
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
@@ -271,7 +279,7 @@ class PlacePosterior:
             return True
         if elapsed - time < _ROUND_TIME:
             return False
-        if self.is_beyond:
+        if self.is_beyond and self.is_settled:
             return False
         grid = self.filter.grid
         is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
