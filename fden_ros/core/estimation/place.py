@@ -50,9 +50,9 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: It serves for this time [s] behind a newer one that has not settled, while the mean of that is
-#: off by less than this, in its deviations, and its log evidence by less than this [1].
-_WAITS, _AGREED, _GAINED = 0.15, 0.25, 1.0
+#: It serves while the mean of a newer one is off by less than this, in its deviations, and the log
+#: evidence by less than this [1].
+_AGREED, _GAINED = 0.25, 1.0
 #: Rounds until the record has grown again, and at the end of a press [1]; least time between two
 #: rounds [s].
 _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
@@ -121,7 +121,7 @@ class PlacePosterior:
         self._start: Start | None = None  #: of the next round of a grid from nothing
         #: A grid that has not settled yet, while the one before serves, and whether they agree.
         self._newest: Grid | None = None
-        self._agrees, self._waits_from = False, 0.0
+        self._agrees = False
         self._rival = Rival()
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
         self._spot = 0  #: where the press is
@@ -169,8 +169,7 @@ class PlacePosterior:
         """Whether the grid that serves resolves the posterior, and a newer one agrees so far."""
         if self.filter is None or not self.filter.grid.is_settled or self.filter.is_coarse:
             return False
-        is_late = self.now > self._waits_from + _WAITS
-        return self._newest is None or (self._agrees and not is_late)
+        return self._newest is None or (self._agrees and not self._is_given_up)
 
     @property
     def _is_given_up(self) -> bool:
@@ -373,7 +372,6 @@ class PlacePosterior:
         before = self.filter
         serves = before is not None and before.grid.is_settled and not before.is_full
         if serves and not (grid.is_settled or is_final):
-            self._waits_from = self.now if self._newest is None else self._waits_from
             self._newest, self._agrees = grid, _agrees(before, grid)
             return
         self.filter, self._newest = Filter(grid), None
