@@ -50,9 +50,6 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: It serves while the mean of a newer one is off by less than this, in its deviations, and the log
-#: evidence by less than this [1].
-_AGREED, _GAINED = 0.25, 1.0
 #: Rounds until the record has grown again, and at the end of a press [1]; least time between two
 #: rounds [s].
 _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
@@ -119,9 +116,6 @@ class PlacePosterior:
         self._suspected_at = math.inf  #: when these were as many as a change [s]
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
-        #: A grid that has not settled yet, while the one before serves, and whether they agree.
-        self._newest: Grid | None = None
-        self._agrees = False
         self._rival = Rival()
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
         self._spot = 0  #: where the press is
@@ -166,17 +160,9 @@ class PlacePosterior:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the grid that serves resolves the posterior, and a newer one agrees so far."""
-        if self.filter is None or not self.filter.grid.is_settled or self.filter.is_coarse:
-            return False
-        return self._newest is None or (self._agrees and not self._is_given_up)
-
-    @property
-    def _is_given_up(self) -> bool:
-        """Whether the newest grid waits for a longer record before more rounds are laid."""
-        assert self.filter is not None
-        grid = self._newest or self.filter.grid
-        return not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
+        """Whether the newest grid resolves the posterior by now."""
+        own = self.filter
+        return own is not None and own.grid.is_settled and not own.is_coarse
 
     # A press
 
@@ -198,7 +184,6 @@ class PlacePosterior:
         self._is_pressed = self.has_slowed = self.is_changed = False
         self._fastest = self._largest = self._afresh_at = 0.0
         self._beyond, self._suspected_at, self._start = 0, math.inf, None
-        self._newest = None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -296,23 +281,30 @@ class PlacePosterior:
             return False
         if self.is_beyond and self.is_settled:
             return False
-        grid = self._newest or self.filter.grid
-        is_rough = not grid.is_settled or (self._newest is None and self.filter.is_coarse)
-        if is_rough and not self._is_given_up:
+        grid = self.filter.grid
+        is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
+        if not self.is_settled and not is_given_up:
             return True
         if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
             return True
-        return grid.is_settled and self._has_moved()
+        return not is_given_up and self._has_moved()
 
     def _has_moved(self) -> bool:
         assert self.filter is not None
-        mean, covariance = _moments(self.filter.weights, self.filter.grid.nodes)
+        mean, covariance = self._moments()
         box = self.filter.grid.start.box
         sds = np.maximum(box.deviations, 1e-12)
         own = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         off = np.abs(mean - box.mean) / sds
         is_open = self.filter.grid.law.coordinates[1] > 0.0
         return bool(np.any(off > _MOST_OFF) or np.any((own < _LEAST_SPREAD * sds)[is_open]))
+
+    def _moments(self) -> tuple[Array, Array]:
+        assert self.filter is not None
+        weights, nodes = self.filter.weights, self.filter.grid.nodes
+        mean = weights @ nodes
+        off = nodes - mean
+        return mean, (off * weights[:, None]).T @ off
 
     @property
     def _cells(self) -> int:
@@ -338,9 +330,8 @@ class PlacePosterior:
         last = max((k for k, block in enumerate(blocks) if block.is_observed), default=-1)
         return blocks[: last + 1]
 
-    def _lay(self, *, most: int = _GATHERED, is_final: bool = False) -> None:
-        """Lay one round of the record by now; `is_final`: it serves, settled or not."""
-        is_final |= self._press is None
+    def _lay(self, *, most: int = _GATHERED) -> None:
+        """Lay one round of the record by now."""
         if self._press is None or self._cells >= _MOST or most != _GATHERED:
             blocks = self._observed()
             if len(blocks) < _LEAST_BLOCKS:
@@ -355,26 +346,17 @@ class PlacePosterior:
         noise = Noise(self.setting.noise_sd, self.noise_sd)
         if self.filter is None:
             start = begun(law, noise)
-        elif self._newest is None:
-            own, moments = self.filter.grid, _moments(self.filter.weights, self.filter.grid.nodes)
-            start = continued(law, own, *moments, self.filter.log_leading)
         else:
-            own, moments = self._newest, _moments(self._newest.weights, self._newest.nodes)
-            start = continued(law, own, *moments, own.after.log_evidence)
-        self._take(laid(law, noise, start), is_final=is_final)
+            moments = self._moments()
+            start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
+        self._take(laid(law, noise, start))
         elapsed = self.now - self._began
         if self.has_slowed and elapsed > _AFRESH * self._afresh_at:
             self._afresh_at, self._start = elapsed, begun(law, noise)
 
-    def _take(self, grid: Grid, *, is_final: bool) -> None:
-        """Let a grid serve; one that is not settled waits behind the one before."""
+    def _take(self, grid: Grid) -> None:
+        self.filter = Filter(grid)
         self._laid_at = self.now - self._began, self.deepest
-        before = self.filter
-        serves = before is not None and before.grid.is_settled and not before.is_full
-        if serves and not (grid.is_settled or is_final):
-            self._newest, self._agrees = grid, _agrees(before, grid)
-            return
-        self.filter, self._newest = Filter(grid), None
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def _lay_afresh(self, start: Start) -> None:
@@ -392,13 +374,13 @@ class PlacePosterior:
         elif grid.is_settled:
             self._start = None
             if _likelier(own, grid) is grid:
-                self._take(grid, is_final=True)
-                self._lay(is_final=True)
+                self._take(grid)
+                self._lay()
 
     def lay_again(self) -> None:
         """Lay a grid of the presses that have ended."""
         self._press = self._ended.pop()
-        self._lay(is_final=True)
+        self._lay()
         self._ended.append(self._press)
         self._press = None
 
@@ -409,15 +391,14 @@ class PlacePosterior:
         for block in self._record.close():
             self._append(block)
         if self._press is not None:
-            self._lay(most=_ENDED, is_final=True)
+            self._lay(most=_ENDED)
             if self.filter is not None and self.elapsed > _AFRESH_END * self._afresh_at:
                 own = self.filter.grid
-                grid = _likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS))
-                self._take(grid, is_final=True)
+                self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
             for _ in range(_LAST_ROUNDS):
                 if self.is_settled:
                     break
-                self._lay(is_final=True)
+                self._lay()
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
@@ -442,24 +423,6 @@ class PlacePosterior:
     def posterior(self) -> Posterior | None:
         """Return the posterior by now; None: there is none."""
         return Posterior.of(self.filter) if self.filter is not None else None
-
-
-def _moments(weights: Array, nodes: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of nodes."""
-    mean = weights @ nodes
-    off = nodes - mean
-    return mean, (off * weights[:, None]).T @ off
-
-
-def _agrees(own: Filter | None, grid: Grid) -> bool:
-    """Whether a grid of one more laying has the posterior of a filter, as far as it is laid."""
-    if own is None:
-        return False
-    mean, covariance = _moments(own.weights, own.grid.nodes)
-    off = np.abs(_moments(grid.weights, grid.nodes)[0] - mean)
-    gain = log_evidence_of(grid.law, grid.stiffness.log + grid.log_prior) - own.log_evidence
-    is_near = np.all(off < _AGREED * np.sqrt(np.maximum(covariance.diagonal(), 1e-24)))
-    return bool(is_near) and abs(gain) < _GAINED
 
 
 def _likelier(one: Grid, other: Grid) -> Grid:
