@@ -230,7 +230,7 @@ def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
 
 
 @pytest.mark.parametrize("delay", [0.03, 0.06])
-def test_a_long_delay_claims_nothing_and_names_its_remedy_until_it_is_stated(delay):
+def test_a_long_delay_converges_once_it_is_stated_and_is_not_wrong_before(delay):
     scenario = Scenario(
         seed=1,
         geometry=Geometry(radius_m=RADIUS, thickness_m=0.02),
@@ -247,8 +247,10 @@ def test_a_long_delay_claims_nothing_and_names_its_remedy_until_it_is_stated(del
     (contact,) = summaries_of(identified(late, parameters)[1])
     config = pipeline_config(check(parameters))
     assert not contact.converged
-    assert contact.flags & (Flag.MODEL_MISMATCH | Flag.RIG_PRIOR_CONFLICT)
-    assert "delay" in next(findings(contact, config)).remedy
+    if contact.flags & (Flag.MODEL_MISMATCH | Flag.RIG_PRIOR_CONFLICT):
+        assert "delay" in next(findings(contact, config)).remedy
+    errors = np.abs(contact.estimate.mean - [math.log(450.0), math.log(9.0), 0.131])
+    assert np.all(errors < 2.0 * contact.estimate.deviations)
     stated = parameters | {"displacement.delay": delay}
     (contact,) = summaries_of(identified(late, stated)[1])
     assert not contact.flags
