@@ -50,6 +50,9 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
+#: A grid that has not settled counts as one for this time [s] after the last that had, while its
+#: mean is off by less than this, in deviations, and its log evidence by less than this [1].
+_AGREES, _AGREED, _GAINED = 0.15, 0.25, 1.0
 #: Rounds until the record has grown again, and at the end of a press [1]; least time between two
 #: rounds [s].
 _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
@@ -116,6 +119,8 @@ class PlacePosterior:
         self._suspected_at = math.inf  #: when these were as many as a change [s]
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
+        #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
+        self._agrees_until = -math.inf
         self._rival = Rival()
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
         self._spot = 0  #: where the press is
@@ -162,7 +167,9 @@ class PlacePosterior:
     def is_settled(self) -> bool:
         """Whether the newest grid resolves the posterior by now."""
         own = self.filter
-        return own is not None and own.grid.is_settled and not own.is_coarse
+        if own is None or own.is_coarse:
+            return False
+        return own.grid.is_settled or self.now < self._agrees_until
 
     # A press
 
@@ -291,20 +298,13 @@ class PlacePosterior:
 
     def _has_moved(self) -> bool:
         assert self.filter is not None
-        mean, covariance = self._moments()
+        mean, covariance = _moments(self.filter.weights, self.filter.grid.nodes)
         box = self.filter.grid.start.box
         sds = np.maximum(box.deviations, 1e-12)
         own = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         off = np.abs(mean - box.mean) / sds
         is_open = self.filter.grid.law.coordinates[1] > 0.0
         return bool(np.any(off > _MOST_OFF) or np.any((own < _LEAST_SPREAD * sds)[is_open]))
-
-    def _moments(self) -> tuple[Array, Array]:
-        assert self.filter is not None
-        weights, nodes = self.filter.weights, self.filter.grid.nodes
-        mean = weights @ nodes
-        off = nodes - mean
-        return mean, (off * weights[:, None]).T @ off
 
     @property
     def _cells(self) -> int:
@@ -347,7 +347,7 @@ class PlacePosterior:
         if self.filter is None:
             start = begun(law, noise)
         else:
-            moments = self._moments()
+            moments = _moments(self.filter.weights, self.filter.grid.nodes)
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
         self._take(laid(law, noise, start))
         elapsed = self.now - self._began
@@ -355,7 +355,12 @@ class PlacePosterior:
             self._afresh_at, self._start = elapsed, begun(law, noise)
 
     def _take(self, grid: Grid) -> None:
+        before, was_settled = self.filter, self.is_settled
         self.filter = Filter(grid)
+        if grid.is_settled:
+            self._agrees_until = self.now + _AGREES
+        elif before is None or not was_settled or not _agree(before, self.filter):
+            self._agrees_until = -math.inf
         self._laid_at = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
@@ -396,9 +401,10 @@ class PlacePosterior:
                 own = self.filter.grid
                 self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
             for _ in range(_LAST_ROUNDS):
-                if self.is_settled:
+                if self.filter is None or self.filter.grid.is_settled:
                     break
                 self._lay()
+            self._agrees_until = -math.inf
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
@@ -423,6 +429,21 @@ class PlacePosterior:
     def posterior(self) -> Posterior | None:
         """Return the posterior by now; None: there is none."""
         return Posterior.of(self.filter) if self.filter is not None else None
+
+
+def _moments(weights: Array, nodes: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of nodes."""
+    mean = weights @ nodes
+    off = nodes - mean
+    return mean, (off * weights[:, None]).T @ off
+
+
+def _agree(one: Filter, other: Filter) -> bool:
+    """Whether two layings of a record have nearly the same posterior."""
+    mean, covariance = _moments(one.weights, one.grid.nodes)
+    off = np.abs(_moments(other.weights, other.grid.nodes)[0] - mean)
+    is_near = np.all(off < _AGREED * np.sqrt(np.maximum(covariance.diagonal(), 1e-24)))
+    return bool(is_near) and abs(other.log_evidence - one.log_evidence) < _GAINED
 
 
 def _likelier(one: Grid, other: Grid) -> Grid:
