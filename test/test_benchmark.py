@@ -119,7 +119,7 @@ def small(monkeypatch, tables):
         (laws, "GEOMETRIES", {"sphere": laws.GEOMETRIES["sphere"]}),
         (laws, "_OTHERS", {"kelvin_voigt": laws._OTHERS["kelvin_voigt"]}),
         (invariance, "CHANGES", {"stamps": invariance.CHANGES["stamps shifted"]}),
-        (real, "_QUICK_TESTS", 1),
+        (real, "_QUICK_TESTS", 3),
     ):
         monkeypatch.setattr(module, name, value)
     return tables

@@ -495,7 +495,8 @@ def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
             sizes.append(len(pickle.dumps(pipeline)))
     assert pipeline.contact_count == 2
     assert not pipeline.rejected
-    assert max(sizes) - min(sizes) < 10_000
+    # A press has 40 to 72 cells.
+    assert max(sizes) < 1.1 * min(sizes)
 
 
 def ignored(output: object) -> None:

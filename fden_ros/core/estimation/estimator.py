@@ -233,8 +233,10 @@ class GridEstimator(Estimator):
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the data contradict the law."""
-        return self.plateau_probability > _MISMATCH
+        """Whether the data contradict the law: another describes them, or this one does not."""
+        best = self.best.filter
+        is_misfit = best is not None and best.grid.is_misfit
+        return is_misfit or self.plateau_probability > _MISMATCH
 
     # The estimate
 

@@ -42,6 +42,9 @@ _LEAST_EFFECTIVE = 0.46
 _LEAST_GAIN = 0.5
 #: A grid is settled where its log evidence has changed by less than this [1].
 _SETTLED_GAIN = 0.5
+#: A law that is said to be exact does not describe data whose chi squared is above this times the
+#: cells, and as many of its standard deviations above them [1].
+_MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
 #: A rough error of the stress counts as in so many independent cells [1].
 _ROUGH_CELLS = 16
 #: Nodes at which scales are weighed.
@@ -266,6 +269,8 @@ class Grid:
         Of theta, with the volume of a cell.
     is_settled : bool
         The grid resolves the posterior, and another round would change nothing.
+    chi_squared : float
+        Of the cells at the likeliest node.
     """
 
     law: Law
@@ -282,6 +287,19 @@ class Grid:
     scales: list[tuple[Scales, float]]
     is_settled: bool
     after: Start
+    chi_squared: float
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the residuals are not noise, though the law is said to be exact.
+
+        The errors of another one are random walks too: measured beef has 2 to 9 a cell.
+        """
+        if not self.is_settled or self.law.config.uncertainty.characteristic_sd:
+            return False
+        count = len(self.lower)
+        beyond = self.chi_squared - count > _MISFIT_DEVIATIONS * math.sqrt(2.0 * count)
+        return beyond and self.chi_squared > _MISFIT * count
 
     @property
     def about(self) -> Expansion:
@@ -441,7 +459,7 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
 def laid(law: Law, noise: Noise, start: Start) -> Grid:
     """Lay a grid: one round."""
     own = _weighed(law, noise, start)
-    linear, covariance, nodes, cells, log_prior, lower, white, _, _, log = own
+    linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
     weights, beta = tempered(log, least_effective(law))
     is_coarse = beta < 1.0
     has_moments = law.has_close_nodes and not is_coarse
@@ -460,9 +478,10 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     else:
         mixed = _led(own, start.scales, mixture)
     after = Start(about, box, scales, total, rounds=start.rounds + 1)
+    chi_squared = float(np.sum(residual[:, int(np.argmax(log))] ** 2))
     return Grid(
         law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, mixed,
-        mixture, settled, after,
+        mixture, settled, after, chi_squared,
     )  # fmt: skip
 
 
