@@ -30,7 +30,7 @@ from fden_ros.core.estimation.covariance import Noise, scales_of
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import Cells, Grid, of_stiffness, solve, table, whitened
 from fden_ros.core.estimation.law import Expansion, Law
-from fden_ros.core.estimation.nuisance import rig_of
+from fden_ros.core.estimation.nuisance import rig_of, spot_of
 from fden_ros.core.estimation.record import Block, Record
 from fden_ros.core.law import FlatPunch
 from fden_ros.simulation import FdenModel
@@ -106,11 +106,24 @@ def law_of(press: Press, uncertainty: Uncertainty) -> Law:
 
 
 @functools.lru_cache(maxsize=4)
-def laid_on(seed: int, left_out: int = 0) -> tuple[Grid, list[Block]]:
-    """Return a settled grid of a press on an arm, and the blocks that were left out at its end."""
+def laid_on(
+    seed: int, left_out: int = 0, *, is_elsewhere: bool = False
+) -> tuple[Grid, list[Block]]:
+    """Return a settled grid of a press on an arm, and the blocks that were left out at its end.
+
+    `is_elsewhere`: another spot of the tissue was pressed 20 s before.
+    """
     blocks = blocks_of(pressed(seed))
     count = len(blocks) - left_out
     law = law_of(gathered(blocks[:count], 0.0, 40), Uncertainty())
+    if is_elsewhere:
+        (press,) = law.place.presses
+        early = replace(
+            press, times=press.times - 20.0, middles=press.middles - 20.0, start=press.start - 20.0
+        )
+        place = replace(law.place, presses=(early, replace(press, spot=1)), older_end=early.start)
+        rig = law.rig._replace(spots={1: spot_of(CONTACT_POINT_SD)})
+        law = replace(law, place=place, rig=rig)
     return solve(law, Noise(NOISE)), blocks[count:]
 
 
@@ -189,9 +202,10 @@ def test_columns_are_the_derivatives_of_the_response() -> None:
         assert np.max(np.abs(by - own)) < 5e-3 * np.max(np.abs(own)) + 1e-6 * g
 
 
-def test_block_by_block_is_the_batch_sum_on_the_same_nodes() -> None:
+@pytest.mark.parametrize("is_elsewhere", [False, True], ids=["first", "another spot"])
+def test_block_by_block_is_the_batch_sum_on_the_same_nodes(is_elsewhere: bool) -> None:
     """Factor and sums of 25 appended cells are those of the whole record to 1e-9."""
-    grid, later = laid_on(2, 25)
+    grid, later = laid_on(2, 25, is_elsewhere=is_elsewhere)
     state = Filter(grid)
     points, tails = [], []
     for block in later:
@@ -199,12 +213,13 @@ def test_block_by_block_is_the_batch_sum_on_the_same_nodes() -> None:
         points.append(state.stress_ahead(tails[-1].times))
         state.append(tails[-1])
     press = grid.law.place.presses[-1].appended(tails)
-    law = replace(grid.law, place=replace(grid.law.place, presses=(press.remembered(),)))
+    presses = (*grid.law.place.presses[:-1], press.remembered())
+    law = replace(grid.law, place=replace(grid.law.place, presses=presses))
     about = replace(grid.about, stresses=np.concatenate([grid.about.stresses, *points]))
     responses, linear = law.responses(grid.nodes, about)
     covariance = type(grid.covariance)(law, about, linear, grid.noise)
     y = covariance.shifts()
-    y[:, 0] += press.stresses
+    y[:, 0] += law.place.joined("stresses")
     lower, white = whitened(
         law, covariance, grid.start.scales, Cells(y, grid.cells.off, responses)
     )

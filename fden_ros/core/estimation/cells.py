@@ -346,6 +346,10 @@ class Place:
         """Return an array of all presses."""
         return np.concatenate([getattr(press, name) for press in self.presses])
 
+    def number_of(self, press: Press) -> int:
+        """Return the number of a press, or of that which a tail continues: by its beginning."""
+        return [own.start for own in self.presses].index(press.start)
+
     def is_new_spot(self, press: int) -> bool:
         """Whether a press, by its number, is of another spot than the one before it."""
         return press > 0 and self.presses[press].spot != self.presses[press - 1].spot

@@ -320,7 +320,7 @@ class Filter:
         column = total[1:k]
         if law.has_kernel_error:
             column[KERNEL] = (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
-        law.add_stress_columns(tail, len(law.place.presses) - 1, total[:1], column[None])
+        law.add_stress_columns(tail, total[:1], column[None])
         load, gain, steepest = of_cells(tail, drive)
         noise = grid.covariance.noise_of(
             tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]

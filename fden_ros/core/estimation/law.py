@@ -323,7 +323,8 @@ class Law:
 
         The contact point of another spot is one of the unknowns that move the points.
         """
-        is_first = press.spot == self.place.presses[0].spot
+        spot = self.place.presses[self.place.number_of(press)].spot
+        is_first = spot == self.place.presses[0].spot
         return np.asarray(press.indentations[:, None] - is_first * contact_points)
 
     @functools.cached_property
@@ -336,12 +337,12 @@ class Law:
         motion = Motion(
             press.times - press.start, press.indentations, press.speeds, stresses, press.earlier
         )
-        found = np.empty((press.times.size, len(self.moving)))
+        number = self.place.number_of(press)
+        found = np.zeros((press.times.size, len(self.moving)))
         for j, k in enumerate(self.moving):
             one, presses = self.slots[k - RIG]
-            own = motion._replace(size=float(about.state[k]))
-            is_own = press.spot in {self.place.presses[q].spot for q in presses}
-            found[:, j] = one.column(own) if is_own else 0.0
+            if number in presses:
+                found[:, j] = one.column(motion._replace(size=float(about.state[k])))
         return found
 
     def at_nodes(self, about: Expansion, nodes: Array) -> AtNodes:
@@ -456,18 +457,16 @@ class Law:
             if self.has_kernel_error:
                 columns[cells, KERNEL] += (weights[:, :1] * (press.memory @ rise)).T @ KERNEL_HATS
             stresses[cells] = kernels[0] @ rise
-            self.add_stress_columns(press, q, stresses[cells], columns[cells])
+            self.add_stress_columns(press, stresses[cells], columns[cells])
             loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
             if q + 1 < len(sizes):
                 past = past.after(press, found[cells], stresses[cells], columns[cells])
         linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights, at)
         return found, linear
 
-    def add_stress_columns(
-        self, press: Press, number: int, stresses: Array, columns: Array
-    ) -> None:
+    def add_stress_columns(self, press: Press, stresses: Array, columns: Array) -> None:
         """Add what changes the stress of a press directly to the columns of its cells."""
-        motion = mean_motion(press, stresses)
+        motion, number = mean_motion(press, stresses), self.place.number_of(press)
         for k, (one, presses) in enumerate(self.slots, RIG):
             if not one.moves and number in presses:
                 columns[:, k] = one.column(motion)
