@@ -22,7 +22,6 @@ from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converg
 from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Touch
-from fden_ros.core.estimation.grid import Grid
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.place import PlacePosterior, Setting
 from fden_ros.core.estimation.posterior import Posterior
@@ -65,7 +64,7 @@ class _Part:
     """One hypothesis by now."""
 
     weight: float
-    place: PlacePosterior
+    hypothesis: _Hypothesis
     posterior: Posterior
     mean: Array  #: of (ln G, ln Gn, alpha, contact point), (4,)
     covariance: Array
@@ -98,7 +97,6 @@ class GridEstimator(Estimator):
         self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
-        self._law_errors: dict[int, tuple[Grid, LawError | None]] = {}  #: by place
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -173,7 +171,8 @@ class GridEstimator(Estimator):
             one.place.release()
         self._hypotheses = self._possible(_ODDS)
         self.best.ask_rival()
-        return self.estimate()._replace(components=_components(self._parts()))
+        parts = self._parts()
+        return self._estimate(parts)._replace(components=_components(parts))
 
     def _possible(self, odds: float) -> list[_Hypothesis]:
         """Return the places that are not less likely than a settled one by these odds.
@@ -242,7 +241,9 @@ class GridEstimator(Estimator):
 
     def estimate(self) -> Estimate:
         """Return the present estimate."""
-        parts = self._parts()
+        return self._estimate(self._parts())
+
+    def _estimate(self, parts: Sequence[_Part]) -> Estimate:
         found = self._mixed(parts) if parts else self._prior()
         return found._replace(sample_count=self._count)
 
@@ -258,22 +259,23 @@ class GridEstimator(Estimator):
         return [self._part(known[k], float(weights[k]) / total) for k in likely]
 
     def _part(self, one: _Hypothesis, weight: float) -> _Part:
-        posterior, config = one.place.posterior(), self._setting.config
+        place, config = one.place, self._setting.config
+        posterior = place.posterior()
         assert posterior is not None
         mean, covariance = posterior.tissue
-        beyond = posterior.probability_beyond(one.place.deepest)
+        beyond = posterior.probability_beyond(place.deepest)
         mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
         sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
         evidence = Evidence(
             mean[:3],
             sds[:3],
             beyond,
-            one.place.is_settled,
-            _contradicts_order(config.prior, self._law_error_of(one.place, posterior)),
+            place.is_settled,
+            _contradicts_order(config.prior, place.law_error(posterior)),
         )
         claims = claims_of(config, evidence)
         return _Part(
-            weight, one.place, posterior, mean, covariance, claims, beyond,
+            weight, one, posterior, mean, covariance, claims, beyond,
             evidence.is_order_contradicted,
         )  # fmt: skip
 
@@ -325,7 +327,7 @@ class GridEstimator(Estimator):
             at_edge=at_edge,
             model_discrepancy=sum(one.curve * part for one, part in grid.scales),
             mean_dwell_time=best.posterior.state.mean_dwell_time,
-            law_error=self._law_error_of(best.place, best.posterior),
+            law_error=best.hypothesis.place.law_error(best.posterior),
             is_order_contradicted=any(part.is_order_contradicted for part in parts),
             plateau_probability=self.plateau_probability,
             with_origin=(with_point[0], with_point[1], with_point[2]),
@@ -333,22 +335,12 @@ class GridEstimator(Estimator):
             is_settled=is_settled,
         )
 
-    def _law_error_of(self, place: PlacePosterior, posterior: Posterior) -> LawError | None:
-        """Return the errors of the law by the newest grid of a place."""
-        grid, found = self._law_errors.get(id(place), (None, None))
-        if grid is not posterior.grid:
-            found = posterior.law_error(place.elapsed, place.deepest)
-            self._law_errors[id(place)] = posterior.grid, found
-        return found
-
     def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
-        shifts = {id(one.place): one.shift for one in self._hypotheses}
         sd = _UNSEEN * self._setting.config.uncertainty.characteristic_sd
         found = []
         for part in parts:
-            is_seen = part.place.has_slowed or part.place.presses > 1
-            unseen = 0.0 if is_seen else sd**2
-            shift = shifts[id(part.place)]
+            place, shift = part.hypothesis.place, part.hypothesis.shift
+            unseen = 0.0 if place.has_slowed or place.presses > 1 else sd**2
             found.append(SmallMotion(part.posterior, self._now, part.weight, shift, unseen=unseen))
         return tuple(found)
 

@@ -45,7 +45,7 @@ _SETTLED_GAIN = 0.5
 #: A law that is said to be exact does not describe data whose chi squared is above this times the
 #: cells, and as many of its standard deviations above them [1].
 _MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
-#: A rough error of the stress counts as in so many independent cells [1].
+#: A rough error of the stress counts as in 16 independent cells, however many there are [1].
 _ROUGH_CELLS = 16
 #: Nodes at which scales are weighed.
 _FEW = 6
@@ -552,12 +552,17 @@ def _led(own: _Weighed, leading: Scales, mixture: Sequence[tuple[Scales, float]]
     return own.stiffness._replace(log=own.log - own.log_prior + gain)
 
 
+def moments_of(weights: Array, nodes: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of weighed nodes."""
+    mean = weights @ nodes
+    off = nodes - mean
+    return mean, (off * weights[:, None]).T @ off
+
+
 def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
     """Return the box of nodes."""
     is_open = open_of(law)
-    mean = weights @ nodes
-    off = nodes - mean
-    own = (off * weights[:, None]).T @ off
+    mean, own = moments_of(weights, nodes)
     own += np.diag((0.03 * box.deviations) ** 2)
     lower, at = np.zeros_like(own), np.ix_(is_open, is_open)
     # Where much lies at an edge of the box, the next is wider there.
@@ -657,9 +662,7 @@ def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expa
     top = np.flatnonzero(weights > 1e-3 * weights.max())
     told = own.white[:, heads : heads + law.size].T @ own.residual[:, top]
     nodes, weights = own.nodes[top], weights[top] / weights[top].sum()
-    mean = weights @ nodes
-    off = nodes - mean
-    spread = (off * weights[:, None]).T @ off
+    mean, spread = moments_of(weights, nodes)
     # Where one place of a coordinate has nearly all weight, there is no line along it.
     variances = 1e-3 * spread.diagonal() + (1e-3 * start.box.deviations) ** 2
     spread += np.diag(np.where(variances > 0.0, variances, 1.0))
@@ -671,7 +674,7 @@ def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expa
     step = (told - before)[:RIG]
     told[:RIG] = before[:RIG] + np.sign(step) * np.log1p(np.abs(step))
     state = told @ weights
-    cross = ((told - state[:, None]) * weights) @ off
+    cross = ((told - state[:, None]) * weights) @ (nodes - mean)
     by_theta = cross @ inverse
     by_theta[KERNEL] = cross[KERNEL] @ of_kernel
     log_g = float(weights @ own.stiffness.log_g[top])

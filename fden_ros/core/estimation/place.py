@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
 from fden_ros.core.estimation.covariance import Noise
+from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.face import CellInnovation, Touch
 from fden_ros.core.estimation.filter import Filter
@@ -30,6 +30,7 @@ from fden_ros.core.estimation.grid import (
     laid,
     leads_to,
     log_evidence_of,
+    moments_of,
     solve,
 )
 from fden_ros.core.estimation.law import Law
@@ -122,6 +123,7 @@ class PlacePosterior:
         #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
         self._agrees_until = -math.inf
         self._rival = Rival()
+        self._law_error: tuple[Grid, LawError | None] | None = None  #: and the grid that it is of
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
         self._spot = 0  #: where the press is
 
@@ -274,8 +276,7 @@ class PlacePosterior:
         As the record has grown, or the nodes have moved out of the middle of their box; the
         second and further rounds of a grid that is not settled after a few blocks.
         """
-        record, elapsed = self._record, block.middle - self._began
-        assert record is not None
+        elapsed = block.middle - self._began
         if not block.is_observed:
             return False
         if self._press is None:
@@ -298,7 +299,7 @@ class PlacePosterior:
 
     def _has_moved(self) -> bool:
         assert self.filter is not None
-        mean, covariance = _moments(self.filter.weights, self.filter.grid.nodes)
+        mean, covariance = moments_of(self.filter.weights, self.filter.grid.nodes)
         box = self.filter.grid.start.box
         sds = np.maximum(box.deviations, 1e-12)
         own = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
@@ -314,10 +315,10 @@ class PlacePosterior:
 
     # Laying
 
-    def _law(self, press: Press | None) -> Law:
+    def _law(self, press: Press) -> Law:
         setting = self.setting
         assert self._touch is not None
-        presses = tuple(self._ended) + ((press,) if press is not None else ())
+        presses = (*self._ended, press)
         place = Place(presses, self._older, self._older_end or presses[0].start)
         rig = rig_of(setting.config, setting.geometry, self._touch.bias_sd, self._touch.drift_sd)
         rig = rig._replace(spots=self._spots)
@@ -347,7 +348,7 @@ class PlacePosterior:
         if self.filter is None:
             start = begun(law, noise)
         else:
-            moments = _moments(self.filter.weights, self.filter.grid.nodes)
+            moments = moments_of(self.filter.weights, self.filter.grid.nodes)
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
         self._take(laid(law, noise, start))
         elapsed = self.now - self._began
@@ -430,18 +431,20 @@ class PlacePosterior:
         """Return the posterior by now; None: there is none."""
         return Posterior.of(self.filter) if self.filter is not None else None
 
+    def law_error(self, posterior: Posterior) -> LawError | None:
+        """Return how far the data bend the law, by the newest grid; None: it is said to be exact.
 
-def _moments(weights: Array, nodes: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of nodes."""
-    mean = weights @ nodes
-    off = nodes - mean
-    return mean, (off * weights[:, None]).T @ off
+        `posterior`: the present one.
+        """
+        if self._law_error is None or self._law_error[0] is not posterior.grid:
+            self._law_error = posterior.grid, posterior.law_error(self.elapsed, self.deepest)
+        return self._law_error[1]
 
 
 def _agree(one: Filter, other: Filter) -> bool:
     """Whether two layings of a record have nearly the same posterior."""
-    mean, covariance = _moments(one.weights, one.grid.nodes)
-    off = np.abs(_moments(other.weights, other.grid.nodes)[0] - mean)
+    mean, covariance = moments_of(one.weights, one.grid.nodes)
+    off = np.abs(other.weights @ other.grid.nodes - mean)
     is_near = np.all(off < _AGREED * np.sqrt(np.maximum(covariance.diagonal(), 1e-24)))
     return bool(is_near) and abs(other.log_evidence - one.log_evidence) < _GAINED
 
