@@ -21,6 +21,7 @@ from fden_ros.core.estimation import (
     EstimatorConfig,
     GridEstimator,
     ParameterSet,
+    Setting,
     Touch,
     Uncertainty,
     moments,
@@ -73,7 +74,7 @@ def pressed(seed: int, hold: float = 1.0) -> Samples:
 def estimator(uncertainty: Uncertainty = EXACT) -> GridEstimator:
     """Return an estimator that waits for its first touch."""
     config = EstimatorConfig(uncertainty=uncertainty)
-    return GridEstimator(config, GEOMETRY, NOISE, CONTACT_POINT_SD)
+    return GridEstimator(Setting(config, GEOMETRY, NOISE, CONTACT_POINT_SD))
 
 
 def take(of: GridEstimator, samples: Samples, size: int = 5, stop: int | None = None) -> Estimate:

@@ -16,7 +16,7 @@ from filterpy.kalman import KalmanFilter
 from pipeline_helpers import of_columns, summaries_of
 from property_helpers import counts
 
-from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Touch
+from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Setting, Touch
 from fden_ros.core.law import PassThrough
 from fden_ros.core.paper_filter import PaperFilter, _Bank, _Grid, _step
 from fden_ros.simulation import FdenModel
@@ -84,7 +84,7 @@ def press_of(seed, noise, *, wide=False, order_sd=0.0, disturb=None):
 def identified(press):
     """Return the estimator of a press after its blocks, and its estimate."""
     config = EstimatorConfig(press.prior, uncertainty=NOTHING_UNKNOWN)
-    estimator = PaperFilter(config, PassThrough(), press.noise_sd, press.origin_sd)
+    estimator = PaperFilter(Setting(config, PassThrough(), press.noise_sd, press.origin_sd))
     times, strains, stresses = press.times, press.strains, press.stresses
     first = int(np.argmax(strains > -press.origin_sd))
     way = np.array([times - times[first], strains, stresses])[:, :first]

@@ -45,8 +45,8 @@ from fden_ros.core.estimation import (
     CellInnovation,
     Estimate,
     Estimator,
-    EstimatorConfig,
     Evidence,
+    Setting,
     Touch,
     claims_of,
 )
@@ -238,25 +238,10 @@ class PaperFilter(Estimator):
     """The paper's filter of one site: of its first contact, up to the lift-off.
 
     It claims nothing of a later contact, which meets tissue that still recovers.
-
-    Parameters
-    ----------
-    noise_sd : float
-        Standard deviation of the stress per sample [Pa].
-    origin_sd : float
-        Standard deviation of the contact point [1]; 0: known.
-    path_variance : float
-        Of the compression per sample, times the time between samples [s].
     """
 
-    def __init__(
-        self,
-        config: EstimatorConfig,
-        geometry: Geometry,
-        noise_sd: float,
-        origin_sd: float = 0.0,
-        path_variance: float = 0.0,
-    ) -> None:
+    def __init__(self, setting: Setting) -> None:
+        config, geometry, noise_sd, origin_sd, path_variance = setting
         prior = config.prior
         self._is_exact = replace(config.uncertainty, thickness_sd=0.0) == NOTHING_UNKNOWN
         self._config, self._geometry = config, geometry

@@ -23,6 +23,7 @@ from fden_ros.core.estimation import (
     GridEstimator,
     Innovation,
     Reservations,
+    Setting,
     Touch,
     reserved,
     stress_ahead,
@@ -319,13 +320,14 @@ def dips(duration_ns: int) -> bool:
 def _new_estimator(
     config: PipelineConfig, noise_sd: float, origin_sd: float, noise: float
 ) -> Estimator:
-    geometry, variance = config.geometry, noise / config.geometry.length**2
+    variance = noise / config.geometry.length**2
+    setting = Setting(config.estimator, config.geometry, noise_sd, origin_sd, variance)
     if config.estimator.kind is EstimatorKind.EKF:
         # filterpy takes as long to import as all the rest of the core.
         from fden_ros.core.paper_filter import PaperFilter
 
-        return PaperFilter(config.estimator, geometry, noise_sd, origin_sd, variance)
-    return GridEstimator(config.estimator, geometry, noise_sd, origin_sd, variance)
+        return PaperFilter(setting)
+    return GridEstimator(setting)
 
 
 def _checked(estimate: Estimate) -> Estimate:

@@ -37,7 +37,7 @@ from fden_ros.core.estimation.estimator_config import (
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.face import CellInnovation, Estimator, Innovation, Touch
+from fden_ros.core.estimation.face import CellInnovation, Estimator, Innovation, Setting, Touch
 from fden_ros.core.estimation.mixture import Component, moments
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ __all__ = [
     "ParameterSet",
     "Prior",
     "Reservations",
+    "Setting",
     "StateIndex",
     "Touch",
     "Uncertainty",

@@ -20,13 +20,12 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
 from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
-from fden_ros.core.estimation.estimator_config import EstimatorConfig, Prior
-from fden_ros.core.estimation.face import CellInnovation, Estimator, Touch
+from fden_ros.core.estimation.estimator_config import Prior
+from fden_ros.core.estimation.face import CellInnovation, Estimator, Setting, Touch
 from fden_ros.core.estimation.mixture import Component, moments
-from fden_ros.core.estimation.place import PlacePosterior, Setting
+from fden_ros.core.estimation.place import PlacePosterior
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.small_motion import SmallMotion
-from fden_ros.core.law import Geometry
 
 #: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
 #: discrepancy of the law [1]: on a ramp only the curve is.
@@ -74,27 +73,10 @@ class _Part:
 
 
 class GridEstimator(Estimator):
-    """The estimator of one site.
+    """The estimator of one site: the posterior as one weighted sum over a grid."""
 
-    Parameters
-    ----------
-    noise_sd : float
-        Standard deviation of the stress per sample [Pa].
-    contact_point_sd : float
-        Standard deviation of the contact point [1]; 0: known.
-    path_variance : float
-        Of the indentation per sample, times the time between samples [s].
-    """
-
-    def __init__(
-        self,
-        config: EstimatorConfig,
-        geometry: Geometry,
-        noise_sd: float,
-        contact_point_sd: float = 0.0,
-        path_variance: float = 0.0,
-    ) -> None:
-        self._setting = Setting(config, geometry, noise_sd, contact_point_sd, path_variance)
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
 
@@ -144,17 +126,7 @@ class GridEstimator(Estimator):
         stress: Sequence[float],
         on_tissue: Sequence[bool],
     ) -> Estimate:
-        """Take samples of the press; return the estimate by now.
-
-        Parameters
-        ----------
-        times : sequence of float
-            Since the touch [s].
-        indentation, stress : sequence of float
-            From the nominal contact point [1]; [Pa].
-        on_tissue : sequence of bool
-            Whether the probe is on the tissue, as far as is known.
-        """
+        """Take samples of the press; see :meth:`~.estimation.Estimator.add`."""
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
             if self._touched_at + time < self._now:
                 continue  # the press before had it

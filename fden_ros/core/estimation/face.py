@@ -10,6 +10,18 @@ from typing import NamedTuple
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.estimate import Budget, Estimate
+from fden_ros.core.estimation.estimator_config import EstimatorConfig
+from fden_ros.core.law import Geometry
+
+
+class Setting(NamedTuple):
+    """What is known of a site before the first touch."""
+
+    config: EstimatorConfig
+    geometry: Geometry
+    noise_sd: float  #: of the stress per sample [Pa]
+    contact_point_sd: float = 0.0  #: [1]; 0: known
+    path_variance: float = 0.0  #: of the indentation per sample, times the time between them [s]
 
 
 class Touch(NamedTuple):

@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
 from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimate import LawError
-from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.face import CellInnovation, Touch
+from fden_ros.core.estimation.face import CellInnovation, Setting, Touch
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import (
     Grid,
@@ -38,7 +37,6 @@ from fden_ros.core.estimation.nuisance import Nuisance, rig_of, spot_of
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.record import LINE_TOLERANCE, Block, Record
 from fden_ros.core.estimation.rival import Rival
-from fden_ros.core.law import Geometry
 
 #: Blocks and time [s] from the touch that the first grid of a press needs.
 _LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
@@ -71,17 +69,6 @@ _SLIP, _SLIP_PART = 8.0, 0.15
 _MOVING = 0.05
 #: The probe holds below this part of its largest speed [1].
 _SLOW = 0.5
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What is known of a place before the first touch."""
-
-    config: EstimatorConfig
-    geometry: Geometry
-    noise_sd: float  #: of the stress per sample [Pa]
-    contact_point_sd: float  #: [1]; 0: known
-    path_variance: float  #: of the indentation per sample, times the time between samples [s]
 
 
 class PlacePosterior:
