@@ -18,7 +18,7 @@ from property_helpers import counts
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Setting, Touch
 from fden_ros.core.law import PassThrough
-from fden_ros.core.paper_filter import PaperFilter, _Bank, _Grid, _step
+from fden_ros.core.paper_filter import PaperFilter, _Bank, _Block, _Grid
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
 from simulation.simulate import EXACT
@@ -130,8 +130,7 @@ def test_the_response_of_a_node_is_the_stress_of_the_law_at_any_steps():
     found = []
     for i in range(0, 1200, 4):
         steps = np.diff(times[i : i + 4], prepend=times[i - 1] if i else 0.0)
-        step = _step(steps, strains[i : i + 4], np.full(4, 0.25))
-        found.append(grid.respond(step, grid.responses(step.compressions))[0])
+        found.append(grid.add(_Block(steps, strains[i : i + 4], np.full(4, 0.25), 0.0, 1.0))[0])
     assert found == pytest.approx(expected.reshape(-1, 4).mean(axis=1), rel=2e-3, abs=1e-3)
 
 

@@ -11,3 +11,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+
+#: Standard deviations beyond which a value does not differ by chance [1].
+NOT_BY_CHANCE = 5.0

@@ -18,15 +18,11 @@ Senne 1971). The weight of a node is its prior times the likelihood of its innov
 
 **Grid.** :math:`\theta = c + A z` with a product grid of z and A triangular, alpha first: nodes of
 one alpha share their kernel. A new grid is laid along the posterior's axes where few nodes count
-or the outermost do. The blocks of the contact, of which a bounded number is kept, are filtered
-again on it.
+or the outermost do, and the blocks of the contact are filtered again on it.
 
-**Memory.** The relaxation kernel is a sum of exponentials (:mod:`fden_ros.core.law.relaxation`):
-the past of a node is one number a rate.
-
-Law errors, compliance and delay are not modelled. They raise chi squared, and above
-:data:`MOST_CHI_SQUARED` nothing is claimed. Errors below the noise do not show, so a claim also
-requires that law and rig are stated to be exact, except for the thickness.
+Law errors, compliance and delay are not modelled. They raise chi squared, and where it is too
+large nothing is claimed. Errors below the noise do not show, so a claim also requires that law and
+rig are stated to be exact, except for the thickness.
 """
 
 from __future__ import annotations
@@ -39,8 +35,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from filterpy.kalman import InformationFilter
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
+    EDGE,
     NOTHING_UNKNOWN,
     CellInnovation,
     Estimate,
@@ -60,63 +57,36 @@ from fden_ros.core.law import (
     phi,
     relaxation_weights,
 )
+from fden_ros.core.parameter import TINY
 
 #: Chi squared per block [1] above which law, rig or noise differ from the filter's model.
-MOST_CHI_SQUARED = 1.5
+_MOST_CHI_SQUARED = 1.5
+#: Blocks of a run, over which a smooth misfit shows below the noise.
+_RUN = 16
 #: Nodes on each side of the middle of an axis, and the step of a new grid in deviations of the
 #: posterior [1]: it covers 3.2 of them, and serves until they have shrunk to `_NARROW` steps.
 _SIDE, _STEP, _NARROW = 4, 0.8, 0.6
 #: Nodes that must count, 1 / sum w^2, and the most weight of the outermost [1].
 _COUNTING, _EDGE = 4.0, 0.03
-#: Variance of the posterior in squared steps, clipped: least, and most where the grid is to become
-#: narrower, or wider.
-_LEAST, _NARROWER, _WIDER = 0.05, (0.5 / _STEP) ** 2, (1.7 / _STEP) ** 2
-#: Furthest centre of a grid from the prior's, in deviations of it [1].
-_FURTHEST = 3.5
+#: Variance of the posterior that a new grid is laid for, in squared steps: least, and most about a
+#: single node.
+_LEAST, _MOST = 0.05, 0.4
 _ROUNDS = 12  #: new grids at one time at most
-_RESTART = 0.5  #: share of the blocks that must come before a lost grid is laid anew [1]
-_RUN = 16  #: blocks of a run
-#: Standard deviations of the chi squared of runs above its mean above which nothing is claimed.
-_MOST_RUNS = 4.0
-_EVERY = 5  #: blocks after which the grid is looked at
-_LEAST_BIAS = 1e-6  #: variance of a known bias over that of the noise [1]
 _CAPACITY = 600  #: blocks that are kept of a contact; after them the grid stays
-_OUTSIDE = 5.0  #: deviations before the contact point at which the approach begins [1]
-_WAY = 12  #: most points of the approach
-_POINTS = 4  #: points of the motion in a block at most
+_POINTS = 6  #: points of the motion in a block at most, and blocks of the approach
 _SHALLOW = 1e-3  #: least compression at which the noise of the motion counts [1]
 #: Relative deviation of the model error of a block's response [1].
 _ERROR = 2e-4
 
 
-class _Step(NamedTuple):
-    """The exponential memory over one block of piecewise linear motion, the same for all nodes.
+class _Block(NamedTuple):
+    """Piecewise linear motion, and the mean stress over it."""
 
-    Of c points, with shares of the block's samples.
-    """
-
-    compressions: Array  #: of the points [1], shape (c,)
-    shares: Array  #: of the samples, shape (c,)
-    by_memory: Array  #: of the mean response, by memory before, shape (RATE_COUNT,)
-    by_rise: Array  #: and by the rise of p up to each point, shape (c, RATE_COUNT)
-    by_rate: Array  #: and by that over the time it took [1/s], shape (c,)
-    left: Array  #: of the memory after the block, shape (RATE_COUNT,)
-    gained: Array  #: by it from each rise, shape (c, RATE_COUNT)
-
-
-def _step(steps: Array, compressions: Array, shares: Array) -> _Step:
-    """Return a block whose points come after times [s]."""
-    times = np.cumsum(steps)
-    decay = np.exp(-RATES * np.maximum(np.subtract.outer(times, times), 0.0)[..., None])
-    decay *= np.tri(times.size)[..., None]
-    y = RATES * steps[:, None]
-    gain = -np.expm1(-y) / y
-    passed = np.exp(-RATES * times[:, None])
-    by_rise = np.tensordot(shares, decay, 1) * gain
-    gained = decay[-1] * gain
-    return _Step(
-        compressions, shares, shares @ passed, by_rise, shares / steps, passed[-1], gained
-    )
+    steps: Array  #: times between the points [s], shape (c,)
+    compressions: Array  #: at the points [1], shape (c,)
+    shares: Array  #: of the samples, by point, shape (c,)
+    stress: float  #: [Pa]
+    noise: float  #: its variance [Pa^2]
 
 
 class _Bank(InformationFilter):
@@ -181,15 +151,17 @@ class _Grid:
         width = np.abs(self.z).max(axis=0)
         self.is_outer = ((np.abs(self.z) == width) & (width > 0.0)).any(axis=1)
 
-    def observe(self, stress: float, noise: float, response: Array) -> None:
-        """Add the mean stress of a block [Pa], its variance and the response of each node."""
-        self.bank.update(stress, noise, response)
-        new: tuple[Any, ...] = 1.0, stress, response
-        self._run = [one + own / noise for one, own in zip(self._run, new, strict=True)]
+    def add(self, block: _Block) -> Array:
+        """Add a block to all nodes; return their responses."""
+        response = self.respond(block, self.responses(block.compressions))
+        self.bank.update(block.stress, block.noise, response)
+        new: tuple[Any, ...] = 1.0, block.stress, response
+        self._run = [one + own / block.noise for one, own in zip(self._run, new, strict=True)]
         if self.bank.count % _RUN == 0:
             weight, whole, own = self._run
             self.runs.update(whole / weight, 1.0 / weight, own / weight)
             self._run = [0.0] * 3
+        return response
 
     def responses(self, compressions: Array) -> Array:
         """Return p = phi / G at points, shape (..., nodes)."""
@@ -206,18 +178,29 @@ class _Grid:
         """Begin at rest there."""
         self._p = self.responses(np.array(compression))
 
-    def respond(self, step: _Step, p: Array) -> Array:
-        """Add a block, with p (c, nodes) at its points; return the mean response r of each."""
-        rises = p - np.concatenate([self._p[None], p[:-1]])
+    def respond(self, block: _Block, p: Array) -> Array:
+        """Return the mean response r over a block, with p (c, nodes) at its points.
+
+        The past of a node is one number a rate, as the kernel is a sum of exponentials
+        (:mod:`fden_ros.core.law.relaxation`).
+        """
+        times = np.cumsum(block.steps)
+        decay = np.exp(-RATES * np.maximum(np.subtract.outer(times, times), 0.0)[..., None])
+        decay *= np.tri(times.size)[..., None]
+        y = RATES * block.steps[:, None]
+        gain = -np.expm1(-y) / y
+        passed = np.exp(-RATES * times[:, None])
+        rises = np.diff(p, axis=0, prepend=self._p[None])
         kernels, count = self._kernels, self.slices
         memory = self._memory.reshape(count, -1, RATE_COUNT)
-        found = memory @ (kernels[:, :RATE_COUNT] * step.by_memory)[..., None]
-        by_rise = kernels[:, :RATE_COUNT] @ step.by_rise.T + kernels[:, -1:] * step.by_rate
+        found = memory @ (kernels[:, :RATE_COUNT] * (block.shares @ passed))[..., None]
+        by_rise = kernels[:, :RATE_COUNT] @ (np.tensordot(block.shares, decay, 1) * gain).T
+        by_rise += kernels[:, -1:] * (block.shares / block.steps)
         by_slice = rises.reshape(len(rises), count, -1)
         response = found[..., 0] + np.einsum("sc,csq->sq", by_rise, by_slice)
-        response += kernels[:, -2:-1] * (step.shares @ p).reshape(count, -1)
-        self._memory *= step.left
-        self._memory += rises.T @ step.gained
+        response += kernels[:, -2:-1] * (block.shares @ p).reshape(count, -1)
+        self._memory *= passed[-1]
+        self._memory += rises.T @ (decay[-1] * gain)
         self._p = p[-1]
         return response.ravel()
 
@@ -256,11 +239,11 @@ class PaperFilter(Estimator):
         self._information = math.exp(-2.0 * (log_g + 3.0 * log_g_sd)), 1.0
         self._contact_count = self._sample_count = 0
         self._is_over, self._is_settled, self._is_refused = False, True, False
-        self._blocks: list[tuple[_Step, float, float]] = []
+        self._blocks: list[_Block] = []
         self._weighed: _Weighed
         self.innovation: CellInnovation | None = None
         self._time = self._deepest = 0.0
-        self._next_look = self._restart = 0  #: at the grid, and from the prior's: counts of blocks
+        self._next_look = 0  #: at the grid: a count of blocks
         self._point = -SHORTEST_STEP  #: time of the newest point of the motion [s]
         self._start = -math.inf  #: compression at which it begins, in the air [1]
         self._lay(self._mean, np.diag(_STEP * self._sd))
@@ -275,10 +258,10 @@ class PaperFilter(Estimator):
         """Whether chi squared is too large for the noise."""
         grid, found = self._grid, self._weighed
         best, runs = int(found.weights.argmax()), grid.runs
-        if found.chi_squared[best] > MOST_CHI_SQUARED * grid.bank.count:
+        if found.chi_squared[best] > _MOST_CHI_SQUARED * grid.bank.count:
             return True
         misfit = runs.misfit(math.exp(found.log_g[best]), found.bias[best], best)
-        return misfit > runs.count + _MOST_RUNS * math.sqrt(2.0 * runs.count)
+        return misfit > runs.count + NOT_BY_CHANCE * math.sqrt(2.0 * runs.count)
 
     # Samples
 
@@ -289,16 +272,15 @@ class PaperFilter(Estimator):
         self.innovation = None
         if self._is_over:
             return
-        least = _LEAST_BIAS * self._noise_variance
-        self._information = self._information[0], 1.0 / max(onset.bias_sd**2, least)
+        self._information = self._information[0], max(onset.bias_sd, TINY) ** -2
         way = onset.approach
-        outside = np.flatnonzero(way[1] < -_OUTSIDE * self._sd[2])
+        outside = np.flatnonzero(way[1] < -NOT_BY_CHANCE * self._sd[2])
         own = way[:, outside[-1] if outside.size else 0 :]
         if own.size:
             own = own[:, own[1].argmin() :]
             self._point, self._start = own[:2, 0].tolist()
         self._lay(self._mean, np.diag(_STEP * self._sd))
-        for part in np.array_split(own[:, 1:], min(_WAY, max(own.shape[1] - 1, 1)), axis=1):
+        for part in np.array_split(own[:, 1:], min(_POINTS, max(own.shape[1] - 1, 1)), axis=1):
             if part.size:
                 self._pass(part[0], part[1], float(part[2].mean()))
 
@@ -327,28 +309,24 @@ class PaperFilter(Estimator):
 
     def _pass(self, times: Array, places: Array, stress: float) -> CellInnovation:
         """Add the motion of a block and its mean stress [Pa]."""
-        grid, before = self._grid, self._weighed
-        step = self._step_of(times, places)
-        p = grid.responses(step.compressions)
-        response = grid.respond(step, p)
-        noise = self._noise_variance / times.size + self._missed(times, places, stress)
-        grid.observe(stress, noise, response)
+        before, noise = self._weighed, self._noise_variance / times.size
+        noise += self._missed(times, places, stress)
+        block = self._block_of(times, places, stress, noise)
+        response = self._grid.add(block)
         self._weighed = self._weigh()
         if len(self._blocks) < _CAPACITY:
-            self._blocks.append((step, stress, noise))
+            self._blocks.append(block)
             # In the air, before the first sample of the contact, all nodes behind the probe are as
             # likely: a grid that follows them loses the touch.
-            is_coarse = self._is_settled and not self._resolves
-            if self._sample_count and (is_coarse or len(self._blocks) >= self._next_look):
+            if self._sample_count and len(self._blocks) >= self._next_look:
                 self._follow()
-                later = _EVERY if self._is_settled else _RESTART * len(self._blocks)
-                self._next_look = len(self._blocks) + math.ceil(later)
+                self._next_look = len(self._blocks) * (1 if self._is_settled else 2)
                 self._is_refused = self._is_contradicted
-        g = np.exp(before.log_g)
-        stresses = g * response + before.bias
+        stresses = np.exp(before.log_g) * response
+        spread = before.log_g_variance * stresses**2
+        stresses += before.bias
         predicted = float(before.weights @ stresses)
-        spread = before.log_g_variance * (g * response) ** 2 + (stresses - predicted) ** 2
-        variance = noise + float(before.weights @ spread)
+        variance = noise + float(before.weights @ (spread + (stresses - predicted) ** 2))
         return CellInnovation(predicted, stress - predicted, variance)
 
     def _missed(self, times: Array, places: Array, stress: float) -> float:
@@ -366,14 +344,14 @@ class PaperFilter(Estimator):
         noise = self._path_variance / lasted * (age / lasted) ** (2.0 * order)
         return float(stress**2 * (_ERROR**2 + by_motion**2 * noise))
 
-    def _step_of(self, times: Array, places: Array) -> _Step:
-        """Return the motion of a block, by means over a few parts of it."""
+    def _block_of(self, times: Array, places: Array, stress: float, noise: float) -> _Block:
+        """Return a block with the motion by means over a few parts of it."""
         bounds = np.arange(min(_POINTS, times.size)) * times.size // min(_POINTS, times.size)
         sizes = np.diff(bounds, append=times.size)
         ends, points = (np.add.reduceat(values, bounds) / sizes for values in (times, places))
         steps = np.maximum(np.diff(ends, prepend=self._point), SHORTEST_STEP)
         self._point = float(ends[-1])
-        return _step(steps, points, sizes / times.size)
+        return _Block(steps, points, sizes / times.size, stress, noise)
 
     # Nodes
 
@@ -384,12 +362,8 @@ class PaperFilter(Estimator):
         is_possible = grid.is_possible & (grid.theta[:, 2] >= self._start)
         self._log_prior = np.where(is_possible, -0.5 * (off**2).sum(axis=1), -math.inf)
         grid.begin(self._start)
-        if self._blocks:
-            points = [step.compressions for step, _, _ in self._blocks]
-            ends = np.cumsum([own.size for own in points])
-            parts = np.split(grid.responses(np.concatenate(points)), ends[:-1])
-            for p, (step, stress, noise) in zip(parts, self._blocks, strict=True):
-                grid.observe(stress, noise, grid.respond(step, p))
+        for block in self._blocks:
+            grid.add(block)
         self._weighed = self._weigh()
 
     def _weigh(self) -> _Weighed:
@@ -412,41 +386,28 @@ class PaperFilter(Estimator):
             chi2,
         )
 
-    @property
-    def _resolves(self) -> bool:
-        """Whether enough nodes count, along each axis, and the outermost do not."""
-        weights, z = self._weighed.weights, self._grid.z[:, self._wide]
-        off = z - weights @ z
-        narrowest = np.linalg.eigvalsh((off * weights[:, None]).T @ off)[0]
-        is_inside = weights @ self._grid.is_outer <= _EDGE
-        return bool(_count(weights) >= _COUNTING and narrowest >= _NARROW**2 and is_inside)
-
     def _follow(self) -> None:
-        """Lay new grids until enough nodes count and the outermost do not."""
+        """Lay new grids until enough nodes count, along each axis, and the outermost do not."""
         wide = np.ix_(self._wide, self._wide)
-        if self._is_contradicted and len(self._blocks) >= self._restart:
-            self._restart = math.ceil((1.0 + _RESTART) * len(self._blocks))
-            self._lay(self._mean, np.diag(_STEP * self._sd))
         for _ in range(_ROUNDS):
-            grid, logs = self._grid, self._weigh().log_weights
+            grid, logs = self._grid, self._weighed.log_weights
             weights, is_few = normalized(logs), False
-            while _count(weights) < _COUNTING:
+            while 1.0 / float(weights @ weights) < _COUNTING:
                 is_few, logs = True, 0.5 * logs
                 weights = normalized(logs)
             best = int(logs.argmax())
             middle = grid.z[best] if is_few else weights @ grid.z
             off = grid.z - middle
             values, vectors = np.linalg.eigh(((off * weights[:, None]).T @ off)[wide])
-            self._is_settled = (
-                not is_few and values[0] >= _NARROW**2 and weights @ grid.is_outer <= _EDGE
-            )
+            is_inside = weights @ grid.is_outer <= _EDGE
+            self._is_settled = bool(not is_few and values[0] >= _NARROW**2 and is_inside)
             if self._is_settled:
                 return
-            # Around a single node that counts: narrower each time, unless it lies at the edge.
-            most = _NARROWER if is_few and not grid.is_outer[best] else _WIDER
+            # Narrower each time about a single node that counts, unless it lies at the edge.
+            most = _MOST if is_few and not grid.is_outer[best] else math.inf
             root = np.zeros((3, 3))
             root[wide] = np.linalg.cholesky((vectors * np.clip(values, _LEAST, most)) @ vectors.T)
-            reach, centre = _FURTHEST * self._sd, grid.centre + grid.axes @ middle
+            reach, centre = EDGE * self._sd, grid.centre + grid.axes @ middle
             centre = np.clip(centre, self._mean - reach, self._mean + reach)
             self._lay(centre, _STEP * grid.axes @ root)
         self._lay(self._mean, np.diag(_STEP * self._sd))
@@ -467,8 +428,7 @@ class PaperFilter(Estimator):
         strains = grid.strains(np.array(self._deepest))
         beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
         is_first = self._contact_count < 2
-        is_settled = self._is_settled and self._resolves
-        is_sound = self._is_exact and is_settled and is_first and not self._is_refused
+        is_sound = self._is_exact and self._is_settled and is_first and not self._is_refused
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),
@@ -490,8 +450,3 @@ def normalized(log_weights: Array) -> Array:
     """Return weights that add up to 1."""
     weights: Array = np.exp(log_weights)
     return weights / weights.sum()
-
-
-def _count(weights: Array) -> float:
-    """Return how many nodes count."""
-    return 1.0 / float(weights @ weights)
