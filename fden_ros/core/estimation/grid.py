@@ -625,12 +625,14 @@ def _stepped(law: Law, box: Box, middle: Array, y: Array, responses: Array, shif
     """
     is_open = open_of(law)
     steps, base = 0.05 * np.maximum(box.deviations[is_open], 1e-12), responses[:, 0]
-    g = max(float(y @ base), 1e-300) / max(float(base @ base), 1e-300)
+    mean_g, sd_g = prior_of_log_g(law)
+    # The response may be none, or against the data: then G is as small as the prior has it.
+    least = math.exp(mean_g - REACH * sd_g)
+    g = max(float(y @ base) / max(float(base @ base), 1e-300), least)
     jacobian = np.column_stack(
         [g * base, (g * (responses[:, 1:] - base[:, None]) - shifts) / steps]
     )
     (mean, sds), at = law.coordinates, np.ix_(is_open, is_open)
-    mean_g, sd_g = prior_of_log_g(law)
     sds = np.append(sd_g, sds[is_open])
     off = np.append(math.log(g) - mean_g, (middle - mean)[is_open])
     found = np.linalg.inv(jacobian.T @ jacobian + np.diag(sds**-2.0))
