@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from fden_ros.core.arrays import NOT_BY_CHANCE
 from fden_ros.core.contact import SLOW_NS, Onset
 from fden_ros.core.streams import NANOSECONDS, Pair
 
@@ -16,8 +17,6 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 _SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
 #: At least this number of samples is averaged.
 _LEAST_SAMPLES = 12
-#: It contradicts the air before the contact beyond this number of stated standard deviations.
-_CONTRADICTION = 5.0
 
 
 class AirChange(NamedTuple):
@@ -35,12 +34,12 @@ class AirChange(NamedTuple):
     @property
     def has_fallen(self) -> bool:
         """Whether the force has fallen by more than noise and drift explain."""
-        return self.deviations < -_CONTRADICTION
+        return self.deviations < -NOT_BY_CHANCE
 
     @property
     def has_drifted(self) -> bool:
         """Whether it contradicts the stated drift."""
-        return abs(self.deviations) > _CONTRADICTION
+        return abs(self.deviations) > NOT_BY_CHANCE
 
 
 class AirAfter:

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from fden_ros.core.arrays import NOT_BY_CHANCE
 from fden_ros.core.contact import Onset
 from fden_ros.core.estimation import Prior
 from fden_ros.core.law import FlatPunch, Geometry, elastic_response
@@ -48,8 +49,8 @@ _MOST_SIZES = {
 }
 #: Area that stands for an unknown one [m^2]: the stress is in newtons.
 UNKNOWN_AREA = 1.0
-#: G lies within 5 standard deviations of its prior, or a factor of 30 where they are less ...
-_PRIOR_DEVIATIONS, _PRIOR_FACTOR = 5.0, 30.0
+#: G lies within 5 standard deviations of its prior, or this factor where they are less ...
+_PRIOR_FACTOR = 30.0
 #: ... for any Gn within 2 standard deviations of its prior.
 _NONLINEAR_DEVIATIONS = 2.0
 #: A contact is judged before its end from this strain on, which a press usually has: below it the
@@ -119,9 +120,7 @@ class Plausibility:
         self._config, self._geometry, self._prior = config, geometry, prior
         #: Why no estimate can be right, as :func:`stands_against`; then no contact is judged.
         self.standing = stands_against(geometry)
-        self._spread = max(
-            _PRIOR_DEVIATIONS * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR)
-        )
+        self._spread = max(NOT_BY_CHANCE * prior.linear_stiffness_log_sd, math.log(_PRIOR_FACTOR))
         self._words: dict[str, str] = {}
         #: Contacts that were found implausible, by the kind of reason.
         self.counts: Counter[str] = Counter()

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams import NANOSECONDS, Pair, Position, Resolution
 
@@ -95,10 +95,10 @@ SCALES = (1, 2, 4, 8, 16)
 _CHANCE = 5e-6
 #: Prior of the scatter of longer means, that of white noise, and its weight in means.
 _EXPECTED = 8
-#: Fewer than 5 chunks give neither bias nor noise. These are known from 48 samples, or 12 chunks:
-#: with fewer the noise may come out so small that noise looks like a contact.
-MIN_CHUNKS, _MIN_AIR_SAMPLES, _ENOUGH_CHUNKS = 5, 48, 12
-#: The lookback keeps at least twice as many chunks.
+#: Fewer than 5 chunks give neither bias nor noise. These are known from 12 chunks on, or from as
+#: many samples as 24 of the shortest chunks have: with fewer the noise may come out so small that
+#: noise looks like a contact. The lookback keeps at least 24 chunks.
+MIN_CHUNKS, _ENOUGH_CHUNKS = 5, 12
 LEAST_SAMPLES = 2 * _ENOUGH_CHUNKS * _CHUNK_SAMPLES
 #: A slow contact is detected within 1 s [ns] of its beginning, so chunks of the newest second do
 #: not count. Bias and noise are measured anew after every 8 chunks.
@@ -106,10 +106,6 @@ SLOW_NS, _AIR_EVERY = NANOSECONDS, 8
 #: Vibration is no contact: a contact exceeds the bias by more than 2.2 times the deepest dip of
 #: means over the same time in the lookback, so that no trough ends it.
 _SWING_FACTOR = 2.2
-#: From 4 standard deviations on, a sample is not the air's, the noise counts as coloured (by the
-#: excess of the variance of the chunks' means over that of white noise), and a trend of the force
-#: in the air counts as drift.
-CLEAR_DEVIATIONS = 4.0
 #: Standard deviation of rounding, in steps. Noise below 0.6 steps, that of the rounding included,
 #: does not whiten it.
 _ROUNDING, _DITHER = 12.0**-0.5, 0.6
@@ -220,7 +216,7 @@ class Baseline:
     def before(self, chunk: Chunk) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known."""
         chunks, config = tuple(self._chunks), self._config
-        is_few = len(chunks) < _ENOUGH_CHUNKS and sum(c.size for c in chunks) < _MIN_AIR_SAMPLES
+        is_few = len(chunks) < _ENOUGH_CHUNKS and sum(c.size for c in chunks) < LEAST_SAMPLES
         if is_few or len(chunks) < MIN_CHUNKS:
             if self.is_measured or not (config.force_noise or config.force_threshold):
                 return None
@@ -287,7 +283,7 @@ class Baseline:
         spread = float(weight @ (time - centre) ** 2)
         slope = float(weight @ ((time - centre) * (force - mean)) / spread)
         slope_sd = noise / math.sqrt(spread)
-        if abs(slope) < CLEAR_DEVIATIONS * slope_sd:
+        if abs(slope) < NOT_BY_CHANCE * slope_sd:
             return level
         sd = math.hypot(level.sd, slope_sd * centre)
         return Air(mean - slope * centre, sd, noise, white, end_ns, slope, slope_sd)
@@ -357,7 +353,7 @@ def _noise_of_means(chunks: tuple[Chunk, ...], white: float, count: int) -> floa
     means, steps = np.array([c.mean for c in chunks]), np.array([c.step for c in chunks])
     while steps.size >= MIN_CHUNKS - 1:
         at_scale = math.sqrt(0.5 * size * float(np.var(steps)))
-        if at_scale > noise * (1.0 + CLEAR_DEVIATIONS * math.sqrt(0.75 / steps.size)):
+        if at_scale > noise * (1.0 + NOT_BY_CHANCE * math.sqrt(0.75 / steps.size)):
             noise = at_scale
         size *= 2.0
         steps, means = np.diff(means), 0.5 * (means[: means.size // 2 * 2 : 2] + means[1::2])

@@ -20,7 +20,6 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import (
     CHUNK_NS,
-    CLEAR_DEVIATIONS,
     LEAST_SAMPLES,
     MIN_CHUNKS,
     SLOW_NS,
@@ -30,18 +29,19 @@ from fden_ros.core.contact.air import (
     ContactConfig,
     Excess,
 )
-from fden_ros.core.contact.surface import FIRST_WINDOW, Approach, find_surface
+from fden_ros.core.contact.surface import FIRST_WINDOW, LEAST_EVIDENCE, Approach, find_surface
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: A rise of the force is a drift where a contact explains it better than a straight line in time
-#: by less than this chi-squared. A rise that may still grow is observed until 200: the longer it
+#: by less than `LEAST_EVIDENCE`. A rise that may still grow is observed until 200: the longer it
 #: lasts, the better it shows the surface.
-MIN_EVIDENCE, AMPLE_EVIDENCE = 12.0, 200.0
-#: A rise is examined again when it has lasted for a tenth longer, or has fallen by 30 %. It was a
+_AMPLE_EVIDENCE = 200.0
+#: A rise is examined again when it has lasted for a tenth longer, or has fallen by half. It was a
 #: drift when it lasted for 2 chunks, is over, and a slow contact would have been found by then.
-RETRY, _OVER = 0.1, 0.7
-#: Noise counts as coloured from 1.5 times the white noise.
-_COLOUR = 1.5
+RETRY = 0.1
+#: A chunk is not the air's from 4 deviations of a sample on. Noise counts as coloured from 1.5
+#: times the white noise.
+_NO_AIR, _COLOUR = 4.0, 1.5
 #: Most samples of the lookback.
 _MOST_LOOKBACK = 40_000
 #: From half of a contact's threshold on, a slow one may have begun: the baseline is frozen. A
@@ -201,9 +201,9 @@ class ContactDetector:
             return None
         noise, excess = air.white, baseline.excess(chunk)
         above = chunk.mean - baseline.bias_at(chunk.end_ns)
-        beyond_noise = max(self._config.force_threshold, CLEAR_DEVIATIONS * noise)
+        beyond_noise = max(self._config.force_threshold, _NO_AIR * noise)
         clear = max(beyond_noise, float(baseline.thresholds[0]))
-        is_clear, is_over = above > clear, excess.ratio < _OVER * rise.peak
+        is_clear, is_over = above > clear, excess.ratio < _LOW * rise.peak
         is_news = is_over or (is_clear and not rise.is_clear)
         rise.peak = max(rise.peak, excess.ratio)
         rise.is_clear |= is_clear
@@ -232,12 +232,12 @@ class ContactDetector:
         if self._has_released and not approach.has_advanced():
             evidence = 0.0
         rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
-        if evidence < MIN_EVIDENCE:
+        if evidence < LEAST_EVIDENCE:
             # A drift, which rises whatever the probe does, or the beginning of a contact that is
             # still too faint.
             rise.doubted_ns = rise.doubted_ns or now_ns
             rise.is_doubted = not may_grow or now_ns - rise.doubted_ns > SLOW_NS
-        if evidence < (AMPLE_EVIDENCE if may_grow else MIN_EVIDENCE):
+        if evidence < (_AMPLE_EVIDENCE if may_grow else LEAST_EVIDENCE):
             return False
         return approach.is_established(is_clear=not may_grow)
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gamma
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.contact.air import CHUNK_NS
 from fden_ros.core.streams import NANOSECONDS
 
@@ -31,24 +31,24 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: The surface is seen where a line from it explains the force by at least this chi-squared better
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
-_LEAST_EVIDENCE = 20.0
-#: A probe has moved by more than this many deviations of the surface, and than this many usual
-#: steps of the displacement: noise alone reaches eight. With four deviations a force that grows in
-#: the air was a touch. And for at least this time away from the surface [s]: chatter is shorter.
-_CLEAR_DEVIATIONS, _CLEAR_STEPS, _LEAST_AWAY = 5.0, 10.0, 0.5
-#: The samples of a window are averaged into at most 96 bins, and 40 times in it are tried for the
-#: onset, then 40 about the best: the work is bounded, however many samples a window holds.
-_MAX_BINS, _CANDIDATES = 96, 40
+LEAST_EVIDENCE = 20.0
+#: A probe has moved by more than 5 deviations of the surface (with 4 a force that grows in the air
+#: was a touch), and than this many usual steps of the displacement: noise alone reaches eight. And
+#: for at least this time away from the surface [s]: chatter is shorter.
+_CLEAR_STEPS, _LEAST_AWAY = 10.0, 0.5
+#: This many times in a window are tried for the onset, then as many about the best; its samples
+#: are averaged into at most twice as many bins. So the work is bounded, whatever a window holds.
+_CANDIDATES = 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the
-#: onset lies well within it, and the force before it is less than this share of that detected.
-FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _AIR_SHARE = 0.1, 24, 0.6, 0.1
-#: After a release a probe that has not advanced touches nothing. It has advanced by more than 6
-#: usual second differences, 10 deviations of white noise, and 2 steps of its encoder.
-_ADVANCE_NOISE, _ADVANCE_STEPS = 6.0, 2.0
-#: The swing of the force while the probe moves is known after 0.2 s of motion at 0.3 of its
-#: present speed, by steps of a chunk. Before that a rise must last for 0.15 s from a tenth of its
-#: depth on: one half of a vibration of 5 Hz is then over.
-_MOTION_TIME, _MOTION_SHARE, _LASTING, _SHALLOW = 0.2, 0.3, 0.15, 0.1
+#: onset lies well within it. Force or depth below this share of that detected is small.
+FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _SMALL = 0.1, 24, 0.6, 0.1
+#: After a release a probe that has not advanced touches nothing. It has advanced by more than 5
+#: usual second differences, 8 deviations of white noise, and this many steps of its encoder.
+_ADVANCE_STEPS = 2.0
+#: A rise must last for this time [s] from a tenth of its depth on: one half of a vibration of 5 Hz
+#: is then over. Or the probe has moved for as long before, at this share of its present speed, by
+#: steps of a chunk: then the swing of the force while it moves is known.
+_LASTING, _MOTION_SHARE = 0.15, 0.3
 _MOTION_STEP = CHUNK_NS / NANOSECONDS
 #: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
 #: from a correlation of this many standard deviations on: that of white noise reaches four.
@@ -93,7 +93,7 @@ class Approach(NamedTuple):
         noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
         step = float(steps[steps > 0.0].min(initial=math.inf))
         advance = float(np.max(way - np.minimum.accumulate(way)))
-        return advance > max(_ADVANCE_NOISE * noise, _ADVANCE_STEPS * step)
+        return advance > max(NOT_BY_CHANCE * noise, _ADVANCE_STEPS * step)
 
     def inertia(self) -> tuple[float, float]:
         """Return the mass beyond the sensor [kg] and its largest force in the air [N]; 0: none.
@@ -143,7 +143,7 @@ class Approach(NamedTuple):
         time, first = self.time, self.first
         depth = self.displacement - self.surface
         # Where the probe rested, the surface may lie anywhere in that time.
-        shallow = np.flatnonzero(depth[first:] < _SHALLOW * depth[-1])
+        shallow = np.flatnonzero(depth[first:] < _SMALL * depth[-1])
         first += int(shallow[-1]) if shallow.size else 0
         lasting = float(time[-1] - time[first])
         if lasting > _LASTING or not is_clear:
@@ -152,7 +152,7 @@ class Approach(NamedTuple):
         moved = np.abs(np.diff(np.interp(instants, time, self.displacement)))
         speed = abs(float(depth[-1] - depth[first])) / max(lasting, _MOTION_STEP)
         moving = np.count_nonzero(moved >= _MOTION_SHARE * speed * _MOTION_STEP)
-        return bool(moving * _MOTION_STEP > _MOTION_TIME)
+        return bool(moving * _MOTION_STEP > _LASTING)
 
 
 def find_surface(
@@ -178,7 +178,7 @@ def find_surface(
         inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
         # A bend within the contact is no onset: before the onset the force is the air's.
         before = float(bins.force[bins.time <= onset_time].mean())
-        if start == 0 or (inside and before < _AIR_SHARE * detected):
+        if start == 0 or (inside and before < _SMALL * detected):
             break
         window = 2.0 * max(window, float(time[-1] - time[start]))
     spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
@@ -195,7 +195,7 @@ def _clear_way(surface_sd: float, displacement: Array) -> float:
     `displacement`: two samples or more, [m], shape (n,).
     """
     step = float(np.median(np.abs(np.diff(displacement))))
-    return max(_CLEAR_DEVIATIONS * surface_sd, _CLEAR_STEPS * step)
+    return max(NOT_BY_CHANCE * surface_sd, _CLEAR_STEPS * step)
 
 
 def _last_way_in(
@@ -232,7 +232,7 @@ class _Bins:
     def of(
         cls, time: Array, force: Array, way: Array, start: int, order: float, noise: float
     ) -> _Bins:
-        per_bin = max(1, -(-(time.size - start) // _MAX_BINS))
+        per_bin = max(1, -(-(time.size - start) // (2 * _CANDIDATES)))
         count = (time.size - start) // per_bin
         kept = slice(time.size - count * per_bin, None)
         bin_time, bin_force, bin_way = (
@@ -281,7 +281,7 @@ class _Bins:
             noise = max(min(contact, other), sys.float_info.min) / max(self.time.size - 3, 1)
             return (other - contact) / max(noise, least)
 
-        is_seen = depth <= 0.0 or gain(exponential, 0.0) >= _LEAST_EVIDENCE
+        is_seen = depth <= 0.0 or gain(exponential, 0.0) >= LEAST_EVIDENCE
         return gain(drift, self.least), is_seen
 
     def surface(self, onset_time: float, spacing: float) -> tuple[float, float]:

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from fden_ros.core.arrays import Array, Indices
-from fden_ros.core.estimation.covariance import Covariance, Noise, Scales, near, scales_of
+from fden_ros.core.estimation.covariance import JITTER, Covariance, Noise, Scales, near, scales_of
 from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.law import Expansion, Law, Linear
@@ -626,16 +626,18 @@ def _stepped(law: Law, box: Box, middle: Array, y: Array, responses: Array, shif
     is_open = open_of(law)
     steps, base = 0.05 * np.maximum(box.deviations[is_open], 1e-12), responses[:, 0]
     mean_g, sd_g = prior_of_log_g(law)
-    # The response may be none, or against the data: then G is as small as the prior has it.
-    least = math.exp(mean_g - REACH * sd_g)
-    g = max(float(y @ base) / max(float(base @ base), 1e-300), least)
+    # The response may be none, or against the data: then the prior limits G.
+    limits = math.exp(mean_g - REACH * sd_g), math.exp(mean_g + REACH * sd_g)
+    g = min(max(float(y @ base) / max(float(base @ base), 1e-300), limits[0]), limits[1])
     jacobian = np.column_stack(
         [g * base, (g * (responses[:, 1:] - base[:, None]) - shifts) / steps]
     )
     (mean, sds), at = law.coordinates, np.ix_(is_open, is_open)
     sds = np.append(sd_g, sds[is_open])
     off = np.append(math.log(g) - mean_g, (middle - mean)[is_open])
-    found = np.linalg.inv(jacobian.T @ jacobian + np.diag(sds**-2.0))
+    curvature = jacobian.T @ jacobian
+    # Columns may be parallel, and so steep that the prior is below their rounding.
+    found = np.linalg.inv(curvature + np.diag(sds**-2.0 + JITTER * curvature.diagonal()))
     step = (found @ (jacobian.T @ (y - g * base) - off / sds**2))[1:]
     most = 1.5 * box.deviations[is_open]
     step /= max(1.0, float(np.max(np.abs(step) / most)))

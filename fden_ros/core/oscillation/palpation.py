@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
     EDGE,
     Estimate,
@@ -36,8 +36,6 @@ from fden_ros.core.oscillation.complex_modulus import ComplexModulus, ComplexMod
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
-#: A deviation beyond this many standard deviations of a normal is not by chance [1].
-_NO_CHANCE = 5.0
 #: An alpha by the phase above this counts as a lag [1]: published livers have 0.12 to 0.15,
 #: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
 _LARGEST_ORDER, _STATED = 0.35, 2.0
@@ -71,7 +69,7 @@ def palpated(
     samples: int,
 ) -> Palpated | None:
     """Return the result of a complex stiffness for a motion of tau [s]; None: not above 0."""
-    if stiffness.value.real <= _NO_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
+    if stiffness.value.real <= NOT_BY_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
         return None
     whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
     value, size, prior = stiffness.value, abs(stiffness.value), config.prior
@@ -207,7 +205,7 @@ class PalpationMeter:
         found = palpated(whole, frequency, amplitude, self._time_scale, self._config, samples)
         sd = math.sqrt(max(float(whole.covariance[0, 0]), 0.0))
         # By more than 90 degrees, or too far for a relaxation.
-        leads = value.real < -_NO_CHANCE * sd if found is None else found.apparent is None
+        leads = value.real < -NOT_BY_CHANCE * sd if found is None else found.apparent is None
         if leads and value.imag > 0.0:
             self.out_of_step = self.out_of_step or _sentence(value, frequency)
         return found
