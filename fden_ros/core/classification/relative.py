@@ -22,8 +22,8 @@ from fden_ros.core.law import LogStiffness, log_stiffness
 ANSWERS = ("softer", "alike", "stiffer")
 #: Fewer places are no surroundings. Strain of the comparison [1].
 LEAST_SURROUNDINGS, _STRAIN = 4, 0.1
-#: Share of the surroundings that is something else: initial, least and most; its spread in l.
-_FOREIGN, _FOREIGN_RANGE, _FOREIGN_SD = 0.1, (0.02, 0.4), 0.8
+#: Share of the surroundings that is something else: initial and least, and most; its spread in l.
+_FOREIGN_RANGE, _FOREIGN_SD = (0.02, 0.4), 0.8
 #: Least natural spread, and iterations of the fixed point.
 _LEAST_SD, _ITERATIONS = 0.02, 30
 
@@ -68,7 +68,7 @@ def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
     values, variances = np.atleast_1d(*around)
     if values.size < LEAST_SURROUNDINGS:
         return None
-    mean, foreign = float(np.median(values)), _FOREIGN
+    mean, foreign = float(np.median(values)), _FOREIGN_RANGE[0]
     natural = (1.4826 * float(np.median(np.abs(values - mean)))) ** 2  # by the median deviation
     for _ in range(_ITERATIONS):
         own = max(natural, _LEAST_SD**2) + variances

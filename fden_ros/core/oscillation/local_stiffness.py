@@ -23,12 +23,9 @@ from fden_ros.core.arrays import Array
 #: Part of its weight that a window keeps when the next one comes, one per model: memories of
 #: 33, 6, 2.5 windows, and of the newest alone. The same of the scatter and of the evidence.
 _DISCOUNTS = np.array([0.97, 0.84, 0.6, 0.2])
-_SCATTER_DISCOUNT, _EVIDENCE_DISCOUNT = 0.95, 0.85
-#: Least weight of a model.
-_LEAST_WEIGHT = 0.005
-#: Degrees of freedom of the prior of the scatter, its expected multiple of the white noise, and
-#: the least degrees of freedom for a standard deviation, after four windows.
-_FIRST_FREEDOM, _COLOUR, _LEAST_FREEDOM = 1.0, 3.0, 3.5
+_DISCOUNT = 0.9
+#: Expected scatter, in multiples of the white noise: a prior of one degree of freedom.
+_COLOUR = 3.0
 #: A window enters the scatter as at most this normalised square beyond that of its best model:
 #: crossing an edge must not count as noise forever.
 _MOST_SQUARE = 5.0
@@ -67,12 +64,12 @@ class LocalStiffness:
         if self.windows == 1:
             self._mean[:] = stiffness
             self._precision[:] = information
-            self._freedom = _FIRST_FREEDOM
-            self._squares[:] = _FIRST_FREEDOM * (_COLOUR * sd * amplitude) ** 2 + 1e-300
+            self._freedom = 1.0
+            self._squares[:] = (_COLOUR * sd * amplitude) ** 2 + 1e-300
             return
         precision = _DISCOUNTS * self._precision
-        freedom = _SCATTER_DISCOUNT * self._freedom
-        squares = _SCATTER_DISCOUNT * self._squares
+        freedom = _DISCOUNT * self._freedom
+        squares = _DISCOUNT * self._squares
         error = stiffness - self._mean
         turned = error * _direction(stiffness).conjugate()
         spread = 1.0 / precision + 1.0 / information
@@ -81,7 +78,7 @@ class LocalStiffness:
         log_density = -0.5 * np.log(squares * spread) - 0.5 * (freedom + 1.0) * np.log1p(
             normalized / squares
         )
-        self._log_weights = _EVIDENCE_DISCOUNT * self._log_weights + log_density.sum(axis=0)
+        self._log_weights = _DISCOUNT * self._log_weights + log_density.sum(axis=0)
         self._log_weights -= self._log_weights.max()
         self._precision = precision + information
         self._mean = self._mean + information / self._precision * error
@@ -91,10 +88,10 @@ class LocalStiffness:
         self._freedom = freedom + 1.0
 
     def value(self) -> Stiffness | None:
-        """Return the stiffness at the newest window; None before there are enough of them."""
-        if self._freedom < _LEAST_FREEDOM:
+        """Return the stiffness at the newest window; None while its variance is infinite."""
+        if self._freedom <= 2.0:
             return None
-        weights = np.maximum(np.exp(self._log_weights), _LEAST_WEIGHT)
+        weights = np.exp(self._log_weights)
         weights /= weights.sum()
         mean = complex(weights @ self._mean)
         apart = self._mean - mean

@@ -12,10 +12,10 @@ import numpy as np
 from fden_ros.core.arrays import Array
 
 #: The displacement is resampled at steps of 1/32 s, over the last 8 s, and analysed twice a
-#: second, from 3 s on.
+#: second.
 _RATE = 32.0
-_MOST, _LEAST, _EVERY = 256, 96, 16
-#: Palpation is at most this fast [Hz], and has lasted for 3 periods.
+_MOST, _EVERY = 256, 16
+#: Palpation is at most this fast [Hz], and has lasted for 3 periods, and 3 s.
 _FASTEST, _PERIODS = 5.0, 3.0
 #: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
 #: of its power in one peak; another frequency is taken when it differs by this share.
@@ -42,7 +42,7 @@ class PalpationFrequency:
             step = displacement - self._displacement
             self._ring[self._count % _MOST] = self._displacement + share * step
             self._count += 1
-            if self._count >= _LEAST and self._count % _EVERY == 0:
+            if self._count >= _PERIODS * _RATE and self._count % _EVERY == 0:
                 self._look()
         self._time, self._displacement = time, displacement
 
