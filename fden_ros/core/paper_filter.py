@@ -38,6 +38,7 @@ from filterpy.kalman import InformationFilter
 from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
     EDGE,
+    MOST_BLOCKS,
     NOTHING_UNKNOWN,
     CellInnovation,
     Estimate,
@@ -72,7 +73,6 @@ _COUNTING, _EDGE = 4.0, 0.03
 #: single node.
 _LEAST, _MOST = 0.05, 0.4
 _ROUNDS = 12  #: new grids at one time at most
-_CAPACITY = 600  #: blocks that are kept of a contact; after them the grid stays
 _POINTS = 6  #: points of the motion in a block at most, and blocks of the approach
 _SHALLOW = 1e-3  #: least compression at which the noise of the motion counts [1]
 #: Relative deviation of the model error of a block's response [1].
@@ -314,7 +314,7 @@ class PaperFilter(Estimator):
         block = self._block_of(times, places, stress, noise)
         response = self._grid.add(block)
         self._weighed = self._weigh()
-        if len(self._blocks) < _CAPACITY:
+        if len(self._blocks) < MOST_BLOCKS:
             self._blocks.append(block)
             # In the air, before the first sample of the contact, all nodes behind the probe are as
             # likely: a grid that follows them loses the touch.

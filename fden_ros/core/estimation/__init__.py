@@ -43,11 +43,13 @@ from fden_ros.core.estimation.mixture import Component, moments
 if TYPE_CHECKING:
     from fden_ros.core.estimation.discrepancy import kernel_change
     from fden_ros.core.estimation.estimator import GridEstimator
+    from fden_ros.core.estimation.record import MOST_BLOCKS
     from fden_ros.core.estimation.small_motion import log_stiffness, stress_ahead
 
 __all__ = [
     "EDGE",
     "KEYS",
+    "MOST_BLOCKS",
     "NOTHING_UNKNOWN",
     "PUBLISHED",
     "Budget",
@@ -81,6 +83,7 @@ __all__ = [
 
 _LATER = {
     "GridEstimator": "estimator",
+    "MOST_BLOCKS": "record",
     "kernel_change": "discrepancy",
     "log_stiffness": "small_motion",
     "stress_ahead": "small_motion",

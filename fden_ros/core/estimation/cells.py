@@ -26,12 +26,10 @@ import numpy as np
 
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.record import Block
-from fden_ros.core.law import RATE_COUNT, RATES
+from fden_ros.core.law import LETTING_GO, RATE_COUNT, RATES
 
 #: Rates of the creep of a free surface: those of the relaxation, and one for all that is slower.
 CREEP_RATES: Array = np.append(RATES, 0.0)
-#: The stress falls to 0 within this time at the end of a press [s].
-_LETTING_GO = 1e-3
 #: Parts into which the way to the largest indentation is cut [1], and what it counts less where
 #: the motion begins: the stress bends most where it is largest.
 _DEPTH_STEPS, _LEAST_DEPTH = 80.0, 0.4
@@ -67,7 +65,7 @@ class Press:
     @property
     def end(self) -> float:
         """When the stress is over [s]."""
-        return float(self.times[-1]) + _LETTING_GO
+        return float(self.times[-1]) + LETTING_GO
 
     @functools.cached_property
     def into_moments(self) -> Array:

@@ -33,7 +33,7 @@ LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
 _LINE_DEVIATIONS = 4.0
 #: Blocks of one press [1]; where there would be more, each two become one.
-_MOST_BLOCKS = 600
+MOST_BLOCKS = 600
 #: Above this noise of the indentation a sample alone tells nothing of the touch [1].
 _BLURRED = 5e-5
 
@@ -243,7 +243,7 @@ class Record:
         self._path = longer or cell
         self._cells.append(cell)
         self._blocks.append(cell.block())
-        if len(self._cells) >= _MOST_BLOCKS:
+        if len(self._cells) >= MOST_BLOCKS:
             self._halve()
         return done
 

@@ -43,11 +43,12 @@ from fden_ros.core.law.relaxation import (
     passed,
     relaxation_weights,
 )
-from fden_ros.core.law.stress_memory import StressMemory
+from fden_ros.core.law.stress_memory import LETTING_GO, StressMemory
 
 __all__ = [
     "HIGHEST_ORDER",
     "LAYER_TERMS",
+    "LETTING_GO",
     "LOWEST_ORDER",
     "MAX_EXPONENT",
     "RATES",

@@ -11,7 +11,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.law.relaxation import RATE_COUNT, RATES, memory_weights, passed
 
 #: The stress falls to 0 within 1 ms [s] where its end was not observed.
-_LETTING_GO = 1e-3
+LETTING_GO = 1e-3
 
 
 class StressMemory:
@@ -42,7 +42,7 @@ class StressMemory:
     def rest(self, duration: float) -> None:
         """Let the tissue relax free of stress for some time [s]."""
         self._catch_up()
-        first = min(_LETTING_GO, 0.5 * duration)
+        first = min(LETTING_GO, 0.5 * duration)
         decay, gain = passed(first, self._stress, 0.0)
         self._moments = np.exp(-RATES * (duration - first)) * (decay * self._moments + gain)
         self._stress = 0.0
