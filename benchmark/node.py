@@ -9,6 +9,9 @@ a *relay*: a plain node with the same inputs that publishes a message of the sam
 and computes nothing, the limit that Python and ROS set. Both wait from the beginning; the source
 publishes to one at a time. They take turns over five rounds, so that other load meets both: the
 goals are on the median over the rounds.
+
+A controller of 100 Hz reads at each tick the newest estimate that the sink has received. The tick
+is *late* where the stamp of that estimate is more than 100 ms before it.
 """
 
 from __future__ import annotations
@@ -41,10 +44,14 @@ EPILOG = """\
 examples:
   fden benchmark node --quick               two minutes
   fden benchmark node -o results            ten minutes for node and relay each
+  fden benchmark node --quick --busy        next to two processes that only compute
+  prlimit --nice=0 setpriv --bounding-set=-sys_nice fden benchmark node --busy
 
-The figures hold for a machine that does nothing else. CPU in cores, latency in ms from stamp to
+The last denies the node a negative nice; *nice* is what it has. Without --busy the figures hold
+for a machine that does nothing else. CPU in cores, latency in ms from stamp to
 arrival at the sink, memory in MB: medians of the turns. *Reported*: of the lost pairs those that
-the process itself counted.
+the process itself counted. *late*: of a 100 Hz controller's ticks those with an estimate older
+than 100 ms [%].
 """
 
 _SECONDS, _QUICK_SECONDS = 600.0, 40.0
@@ -68,6 +75,9 @@ _QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 NODE, RELAY = "node", "relay"
 _NAMESPACES = {NODE: "/node", RELAY: "/relay"}
 _USUAL_RATE = 1000.0
+#: The period of the controller, and the age from which an estimate is late to it [ns].
+_TICK, _LATE = 10_000_000, 100_000_000
+_BURNERS = 2
 
 
 class Turn(NamedTuple):
@@ -86,11 +96,14 @@ class _Watched(NamedTuple):
     end_ns: int
     cpu: float  #: cores
     memory_mb: list[float]  #: resident, once a second
+    nice: int
 
 
 def _more(parser: argparse.ArgumentParser) -> None:
     words = f"for each at 1 kHz, in {_ROUNDS} turns (default: {_SECONDS:g})"
     parser.add_argument("--seconds", type=float, metavar="S", help=words)
+    words = f"next to {_BURNERS} processes that only compute"
+    parser.add_argument("--busy", action="store_true", help=words)
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -98,15 +111,15 @@ def run(args: argparse.Namespace) -> Report:
     seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
     plan = _ROUNDS * [Turn(what, _USUAL_RATE, seconds / _ROUNDS) for what in (NODE, RELAY)]
     with progress("measuring", len(plan)) as show:
-        rows = measure(plan, show)
+        rows = measure(plan, show, burners=_BURNERS * args.busy)
     load = f"load {os.getloadavg()[0]:.1f} at the end"
-    title = f"{os.cpu_count()} cores, {load}"
+    title = f"{os.cpu_count()} cores, {_BURNERS * args.busy} busy processes, {load}"
     shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
-    return Report(goals_of(rows), {"turns": Table(title, shown)})
+    return Report(goals_of(rows, is_busy=args.busy), {"turns": Table(title, shown)})
 
 
-def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:
-    """Compare the node with the relay, on an idle machine."""
+def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
+    """Compare the node with the relay, on an idle machine or next to busy processes."""
     node, relay = (rows[_name(what, _USUAL_RATE)] for what in (NODE, RELAY))
 
     def ratio(key: str) -> float:
@@ -114,6 +127,10 @@ def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:
 
     later = node["memory"][_MEMORY_FROM:]
     grown = max(later) - later[0] if len(later) > 10 else float("nan")
+    most_late = (0.5 if node["nice"] < 0 else 2.0) if is_busy else 0.0
+    late = at_most("late ticks [%]", node["late"], most_late)
+    if is_busy:
+        return [late]
     above = float(np.median(np.array(node["p99"]) - np.array(relay["p99"])))
     most = max(node["max"]) - max(relay["max"])
     return [
@@ -122,6 +139,7 @@ def goals_of(rows: dict[str, dict[str, Any]]) -> list[Goal]:
         at_most("p99 latency above the relay's [ms]", above, 5.0),
         at_most("largest latency above the relay's [ms]", most, 30.0),
         at_most("memory grown after a minute [MB]", grown, 2.0),
+        late,
     ]
 
 
@@ -133,7 +151,7 @@ def _name(what: str, rate: float) -> str:
 
 
 def measure(
-    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None
+    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None, *, burners: int = 0
 ) -> dict[str, dict[str, Any]]:
     """Run source, sink and the processes between them; return the figures of each at each rate."""
     environment = dict(os.environ)
@@ -145,6 +163,9 @@ def measure(
     turns = json.dumps([(_NAMESPACES[t.what], t.rate, t.seconds) for t in plan])
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(_process([*me, "sink"], environment))
+        for _ in range(burners):
+            command = [sys.executable, "-c", "while True: pass"]
+            stack.enter_context(_process(command, environment))
         tested: dict[str, Any] = {}
         for what in dict.fromkeys(turn.what for turn in plan):
             own = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier"]
@@ -182,7 +203,8 @@ def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
         memory.append(_memory_mb(pid))
     cpu = (_cpu_seconds(pid) - before) / (time.monotonic() - begin)
     done = json.loads(sender.stdout.readline())
-    return _Watched(done["sent"], begin_ns, done["end_ns"], cpu, memory)
+    nice = os.getpriority(os.PRIO_PROCESS, pid)
+    return _Watched(done["sent"], begin_ns, done["end_ns"], cpu, memory, nice)
 
 
 def _row(turns: Sequence[_Watched], arrived: Any, counts: Any) -> dict[str, Any]:
@@ -203,6 +225,8 @@ def _row(turns: Sequence[_Watched], arrived: Any, counts: Any) -> dict[str, Any]
             name: [float(np.percentile(latency, q)) for latency in latencies]
             for name, q in _QUANTILES.items()
         },
+        "late": 100.0 * float(np.mean(np.concatenate([_is_late(arrivals, t) for t in turns]))),
+        "nice": turns[-1].nice,
         "memory": [memory for turn in turns for memory in turn.memory_mb],
     }
 
@@ -220,6 +244,17 @@ def _latency_ms(arrivals: NDArray[np.int64], turn: _Watched) -> Array:
     own[1:] &= np.diff(stamps) != 1
     latency: Array = 1e-6 * (arrivals[own, 1] - stamps[own])
     return latency if latency.size else np.array([np.nan])
+
+
+def _is_late(arrivals: NDArray[np.int64], turn: _Watched) -> NDArray[np.bool_]:
+    """Return of each tick of a controller in a turn whether its newest estimate is too old."""
+    ticks = np.arange(turn.begin_ns + round(_WARM_UP * 1e9), turn.end_ns, _TICK)
+    measured = arrivals[np.diff(arrivals[:, 0], prepend=0) != 1]
+    if not len(measured):
+        return np.ones(len(ticks), dtype=bool)
+    newest = np.searchsorted(measured[:, 1], ticks, side="right") - 1
+    late: NDArray[np.bool_] = (newest < 0) | (ticks - measured[newest, 0] > _LATE)
+    return late
 
 
 _NODE_ARGUMENTS = f"""
