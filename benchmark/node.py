@@ -325,8 +325,8 @@ def _source(turns: Sequence[tuple[str, float, float]]) -> None:
 
     recording = simulate(ramp_scenario(strain_rate=0.15, max_strain=0.27, hold_s=1.0, seed=1))
     first = round(_USUAL_RATE * _PRESS_FROM)
-    streams = [np.roll(s.value, -first) for s in (recording.force, recording.displacement)]
-    values = {rate: [_resampled(stream, rate) for stream in streams] for _, rate, _ in turns}
+    streams = (recording.force, recording.displacement)
+    forces, depths = (np.roll(stream.value, -first).tolist() for stream in streams)
     wrench, joint = WrenchStamped(), JointState(name=["probe"])
     wrench.header.frame_id = joint.header.frame_id = "tool"
 
@@ -351,7 +351,6 @@ def _source(turns: Sequence[tuple[str, float, float]]) -> None:
             ahead = begin + k / rate - time.monotonic()
             if ahead > 0.0:
                 time.sleep(ahead)
-            forces, depths = values[rate]
             for message in (wrench, joint):
                 stamp = message.header.stamp
                 stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
@@ -366,12 +365,6 @@ def _source(turns: Sequence[tuple[str, float, float]]) -> None:
     time.sleep(_COUNTING_PAUSE)
     node.destroy_node()
     rclpy.try_shutdown()
-
-
-def _resampled(values: Array, rate: float) -> list[float]:
-    """Return samples of the usual rate as those of another."""
-    places = np.arange(0.0, len(values) - 1, _USUAL_RATE / rate)
-    return np.interp(places, np.arange(len(values)), values).tolist()
 
 
 @contextlib.contextmanager
