@@ -174,7 +174,7 @@ class GridEstimator(Estimator):
     @property
     def is_doubtful(self) -> bool:
         """Whether the newest block is beyond the gate."""
-        return self.best.is_beyond
+        return self.best.gate.is_doubtful
 
     @property
     def rig_misfit(self) -> float:
@@ -195,7 +195,7 @@ class GridEstimator(Estimator):
     @property
     def is_changed(self) -> bool:
         """Whether the tissue under the probe has changed since the touch."""
-        return all(one.place.is_changed for one in self._hypotheses)
+        return all(one.place.gate.is_changed for one in self._hypotheses)
 
     @property
     def plateau_probability(self) -> float:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -207,6 +208,15 @@ class Filter:
         stress = float(tail.stresses[0])
         self._taken.append((row, stress))
         return self._take(row, stress)
+
+    def compared(self, tail: Press, stress: float) -> CellInnovation | None:
+        """Compare the tail of the path with its prediction, and go along it without its stress."""
+        # A press that was gathered anew may begin elsewhere.
+        row = self._row(replace(tail, start=self.grid.law.place.presses[-1].start))
+        if row is None:
+            return None
+        ((mean, variance),) = self._predicted([row])
+        return CellInnovation(mean, stress - mean, variance)
 
     def _take(self, row: _Row, stress: float) -> CellInnovation:
         n, heads, k = self.count, self._heads, self._heads + self.grid.law.size

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
+from fden_ros.core.estimation.change import ChangeGate
 from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.face import CellInnovation, Setting, Touch
@@ -59,12 +60,6 @@ _LAST_ROUNDS, _ROUND_TIME = 12, 0.03
 #: last [1], and by the second at its end: scales that were small are left only where the columns
 #: are those of larger ones, and the log evidence was up to 15 lower.
 _AFRESH, _AFRESH_END = 2.0, 1.4
-#: Innovations beyond as many standard deviations and this part of the largest stress [1], as many
-#: blocks in a row: the tissue has changed, unless the probe retreats within this time [s]. A
-#: smaller part is an error of law or rig.
-_GATE, _GATE_PART, _GATE_BLOCKS, _GATE_TIME = 4.0, 0.04, 3, 0.08
-#: Or one block is beyond as many and this part [1] while the probe advances: it has slipped.
-_SLIP, _SLIP_PART = 8.0, 0.15
 #: A probe moves above this part of its largest speed [1].
 _MOVING = 0.05
 #: The probe holds below this part of its largest speed [1].
@@ -80,8 +75,8 @@ class PlacePosterior:
         The weighted nodes; None: there are none yet.
     innovation : CellInnovation or None
         Of the newest block.
-    is_changed : bool
-        The tissue under the probe has changed since the touch.
+    gate : ChangeGate
+        Says whether the tissue under the probe has changed since the touch.
     """
 
     def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
@@ -100,11 +95,9 @@ class PlacePosterior:
         self._tails: list[Press] = []  #: of the press, since the newest grid
         self._blocks, self._middle = 0, 0.0  #: and the time of the newest [s]
         self._laid_at = 0.0, 0.0  # time [s], depth [1]
-        self._fastest = self._largest = 0.0
-        self.has_slowed = self.is_changed = False
-        self._beyond = 0  #: newest blocks in a row that are beyond the gate
-        self._side = False  #: whether the newest is above its prediction
-        self._suspected_at = math.inf  #: when these were as many as a change [s]
+        self._fastest = 0.0
+        self.has_slowed = False
+        self.gate = ChangeGate()
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
         #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
@@ -118,11 +111,6 @@ class PlacePosterior:
     def presses(self) -> int:
         """Presses so far, with the present one."""
         return len(self._ended) + (self._record is not None)
-
-    @property
-    def is_beyond(self) -> bool:
-        """Whether the newest block is beyond the gate, or a change is suspected."""
-        return self._beyond > 0 or self._suspected_at < math.inf
 
     @property
     def elapsed(self) -> float:
@@ -177,9 +165,9 @@ class PlacePosterior:
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self._tails, self.now = touch, None, [], now
         self._began, self._steps, self._blocks, self._middle = now, 0, 0, now
-        self._is_pressed = self.has_slowed = self.is_changed = False
-        self._fastest = self._largest = self._afresh_at = 0.0
-        self._beyond, self._suspected_at, self._start = 0, math.inf, None
+        self._is_pressed = self.has_slowed = False
+        self._fastest = self._afresh_at = 0.0
+        self.gate, self._start = ChangeGate(), None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
         """Take a sample."""
@@ -209,10 +197,9 @@ class PlacePosterior:
             assert self.filter is not None
             tail = self.filter.path.tail(block, self.noise_sd)
             self._tails.append(tail)
-            is_settled = self.is_settled
             found = self.filter.append(tail)
             if found is not None:
-                self._see_innovation(found, is_settled=is_settled)
+                self._see_innovation(found)
         if self._is_due(block):
             self._lay()
             # Blocks of slow sensors have the time of several rounds.
@@ -226,32 +213,14 @@ class PlacePosterior:
             assert self.filter is not None
             self._rival.lay(self.filter)
 
-    def _see_innovation(self, found: CellInnovation, *, is_settled: bool) -> None:
-        """Take an innovation: some beyond the gate in a row, and the tissue has changed.
-
-        A force that is ahead of the motion falls before the probe retreats: that is waited for.
-        `is_settled`: the grid that predicted the block was.
-        """
-        self.innovation = found
-        self._largest = max(self._largest, abs(found.predicted + found.innovation))
-        speed = float(self._tails[-1].speeds[-1]) / max(self._fastest, 1e-12)
-        if speed < -_MOVING:
-            self._beyond, self._suspected_at = 0, math.inf
-            return
-        deviations = math.sqrt(found.normalized_squared)
-        part, side = abs(found.innovation) / max(self._largest, 1e-12), found.innovation > 0.0
-        # The block may have left few nodes: one of these near the tissue is off to either side.
-        counts = is_settled or (self._beyond > 0 and side == self._side)
-        is_beyond = counts and deviations > _GATE and part > _GATE_PART
-        self._beyond, self._side = self._beyond + 1 if is_beyond else 0, side
-        if not (is_beyond or is_settled):
-            self._suspected_at = math.inf
-        if self._beyond == _GATE_BLOCKS:
-            self._suspected_at = min(self._suspected_at, self.now)
-        is_large = is_settled and deviations > _SLIP and part > _SLIP_PART
-        self.is_changed |= (
-            is_large and speed > _MOVING
-        ) or self.now - self._suspected_at > _GATE_TIME
+    def _see_innovation(self, found: CellInnovation) -> None:
+        """Look for a change, but in a retreat: a force ahead of the motion falls before that."""
+        assert self.filter is not None
+        self.innovation, newest = found, self._tails[-1]
+        if float(newest.speeds[-1]) < -_MOVING * self._fastest:
+            self.gate.rest()
+        else:
+            self.gate.see(self.filter, newest, found)
 
     def _see_speed(self, slope: float) -> None:
         self._fastest = max(self._fastest, slope)
@@ -274,7 +243,7 @@ class PlacePosterior:
             return True
         if elapsed - time < _ROUND_TIME:
             return False
-        if self.is_beyond and self.is_settled:
+        if self.gate.is_beyond:
             return False
         grid = self.filter.grid
         is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
