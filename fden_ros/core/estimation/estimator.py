@@ -31,9 +31,14 @@ from fden_ros.core.estimation.small_motion import SmallMotion
 #: discrepancy of the law [1]: on a ramp only the curve is.
 _UNSEEN = 0.5
 #: Odds at which a place is dropped at the end of a press, and within it [1].
-_ODDS, _FAR = 20.0, 3000.0
+_ODDS, _FAR = 20.0, 200.0
+#: Between two grids the likelihood is that of the leading scales: a hypothesis is weighed anew
+#: where the logarithm of its odds has changed by this.
+_STALE = 2.0
+#: Least time between two rounds [s].
+_ROUND_TIME = 0.03
 #: Hypotheses of the press before that go on [1].
-_CONTINUED = 2
+_CONTINUED = 1
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -43,7 +48,7 @@ _CONTRADICTION, _LEAST_ORDER_SD = 4.0, 0.01
 _MISMATCH = 0.95
 
 
-@dataclass
+@dataclass(eq=False)
 class _Hypothesis:
     """A place that may be the one that is touched."""
 
@@ -51,6 +56,7 @@ class _Hypothesis:
     log_prior: float = 0.0  #: before the press that is open, or the last
     shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
     base: float = 0.0  #: log evidence of its record before this counts
+    laid_odds: float = 0.0  #: logarithm of the odds to the best when its grid was laid
 
     @property
     def log_weight(self) -> float:
@@ -79,6 +85,7 @@ class GridEstimator(Estimator):
         self._setting = setting
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
+        self._block_at = self._round_at = 0.0  #: the newest block and round [s]
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -110,7 +117,7 @@ class GridEstimator(Estimator):
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
-        self._now = self._touched_at = self._now + pause
+        self._now = self._touched_at = self._block_at = self._now + pause
         # Evidences compare where the records are of the same data.
         reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
@@ -131,11 +138,42 @@ class GridEstimator(Estimator):
             if self._touched_at + time < self._now:
                 continue  # the press before had it
             self._now = self._touched_at + time
-            for one in self._hypotheses:
+            done = [
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
+                for one in self._hypotheses
+            ]
+            if any(done):
+                self._take_turns()
         self._count += len(times)
-        self._hypotheses = self._possible(_FAR)
         return self.estimate()
+
+    def _take_turns(self) -> None:
+        """Lay a round of the place that has waited for longest, at most one each 30 ms.
+
+        A block of a slow sensor has the time of several.
+        """
+        possible, best = self._possible(_FAR), max(one.log_weight for one in self._hypotheses)
+        for one in self._hypotheses:
+            if one.place.is_fresh:
+                one.laid_odds = one.log_weight - best
+        stale = [
+            one
+            for one in self._hypotheses
+            if abs(one.log_weight - best - one.laid_odds) > _STALE and not one.place.is_fresh
+        ]
+        self._hypotheses = [one for one in self._hypotheses if one in possible or one in stale]
+        before, self._block_at = self._block_at, self._now
+        if self._now - self._round_at < _ROUND_TIME:
+            return
+        for _ in range(max(int((self._now - before) / _ROUND_TIME), 1)):
+            places = [one.place for one in self._hypotheses if one.place.is_due or one in stale]
+            due = [place for place in places if not place.gate.is_beyond]
+            if due:
+                min(due, key=lambda place: place.laid_at).lay()
+                stale = [one for one in stale if not one.place.is_fresh]
+            elif not self.best.ask():
+                break
+            self._round_at = self._now
 
     def release(self) -> Estimate:
         """End the press; return the estimate."""

@@ -53,17 +53,16 @@ _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: A grid that has not settled counts as one for this time [s] after the last that had, while its
 #: mean is off by less than this, in deviations, and its log evidence by less than this [1].
 _AGREES, _AGREED, _GAINED = 0.15, 0.25, 1.0
-#: Rounds until the record has grown again, and at the end of a press [1]; least time between two
-#: rounds [s].
-_LAST_ROUNDS, _ROUND_TIME = 12, 0.03
+#: Rounds until the record has grown again, and at the end of a press [1].
+_LAST_ROUNDS = 12
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and by the second at its end: scales that were small are left only where the columns
 #: are those of larger ones, and the log evidence was up to 15 lower.
 _AFRESH, _AFRESH_END = 2.0, 1.4
 #: A probe moves above this part of its largest speed [1].
 _MOVING = 0.05
-#: The probe holds below this part of its largest speed [1].
-_SLOW = 0.5
+#: The probe holds below this part of its largest speed, by as many standard deviations [1].
+_SLOW, _SPEED_DEVIATIONS = 0.5, 2.0
 
 
 class PlacePosterior:
@@ -77,6 +76,8 @@ class PlacePosterior:
         Of the newest block.
     gate : ChangeGate
         Says whether the tissue under the probe has changed since the touch.
+    laid_at : float
+        When the newest grid was laid, since the touch [s].
     """
 
     def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
@@ -93,8 +94,10 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._tails: list[Press] = []  #: of the press, since the newest grid
-        self._blocks, self._middle = 0, 0.0  #: and the time of the newest [s]
-        self._laid_at = 0.0, 0.0  # time [s], depth [1]
+        self._blocks = 0
+        self._newest: Block | None = None
+        self.laid_at = 0.0
+        self._laid_deep = 0.0  #: the deepest indentation by then [1]
         self._fastest = 0.0
         self.has_slowed = False
         self.gate = ChangeGate()
@@ -141,6 +144,11 @@ class PlacePosterior:
         return found
 
     @property
+    def is_fresh(self) -> bool:
+        """Whether its grid is of the record by now."""
+        return not self._tails
+
+    @property
     def is_settled(self) -> bool:
         """Whether the newest grid resolves the posterior by now."""
         own = self.filter
@@ -164,13 +172,13 @@ class PlacePosterior:
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self._tails, self.now = touch, None, [], now
-        self._began, self._steps, self._blocks, self._middle = now, 0, 0, now
+        self._began, self._steps, self._blocks, self._newest = now, 0, 0, None
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
         self.gate, self._start = ChangeGate(), None
 
-    def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> None:
-        """Take a sample."""
+    def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> bool:
+        """Take a sample; return whether it completes a block."""
         record, setting = self._record, self.setting
         assert record is not None
         if time > self.now:
@@ -184,15 +192,17 @@ class PlacePosterior:
         self._is_pressed |= on_tissue
         # Before the first stress the force counts as well: there is none.
         is_observed = on_tissue or not self._is_pressed
-        for block in record.add(time, indentation, stress, is_observed=is_observed):
+        done = record.add(time, indentation, stress, is_observed=is_observed)
+        for block in done:
             self._append(block)
+        return bool(done)
 
     def _append(self, block: Block) -> None:
         self._blocks += 1
-        before, self._middle = self._middle, block.middle
+        self._newest = block
         if block.is_observed:
             self.deepest = max(self.deepest, block.indentation)
-            self._see_speed(block.slope)
+            self._see_speed(block)
         if self._press is not None:
             assert self.filter is not None
             tail = self.filter.path.tail(block, self.noise_sd)
@@ -200,18 +210,26 @@ class PlacePosterior:
             found = self.filter.append(tail)
             if found is not None:
                 self._see_innovation(found)
-        if self._is_due(block):
+            is_due = self._cells >= _MOST
+        else:
+            is_due = self._blocks >= _LEAST_BLOCKS and block.middle - self._began >= _LEAST_TIME
+        # Those of one touch are gathered at the same block: evidences are of the same cells.
+        if is_due and block.is_observed:
             self._lay()
-            # Blocks of slow sensors have the time of several rounds.
-            for _ in range(int((block.middle - before) / _ROUND_TIME) - 1):
-                if self.is_settled:
-                    break
-                self._lay()
-        elif self._start is not None:
+
+    def lay(self) -> None:
+        """Lay one round of the record by now."""
+        self._lay()
+
+    def ask(self) -> bool:
+        """Lay one round of another grid: from nothing, or of a rival; False: nothing is due."""
+        if self._start is not None:
             self._lay_afresh(self._start)
-        elif self._rival.is_due(self._laid_at[0]):
-            assert self.filter is not None
+        elif self.filter is not None and self._rival.is_due(self.laid_at):
             self._rival.lay(self.filter)
+        else:
+            return False
+        return True
 
     def _see_innovation(self, found: CellInnovation) -> None:
         """Look for a change, but in a retreat: a force ahead of the motion falls before that."""
@@ -222,34 +240,33 @@ class PlacePosterior:
         else:
             self.gate.see(self.filter, newest, found)
 
-    def _see_speed(self, slope: float) -> None:
-        self._fastest = max(self._fastest, slope)
-        self.has_slowed |= abs(slope) < _SLOW * self._fastest
+    def _see_speed(self, block: Block) -> None:
+        """Take the speed of a block, as far as its noise lets it be known."""
+        if not block.slope_sd:
+            return
+        noise = _SPEED_DEVIATIONS * block.slope_sd * self.noise_sd
+        self._fastest = max(self._fastest, block.slope - noise)
+        self.has_slowed |= abs(block.slope) + noise < _SLOW * self._fastest
 
-    def _is_due(self, block: Block) -> bool:
+    @property
+    def is_due(self) -> bool:
         """Whether a round is to be laid.
 
         As the record has grown, or the nodes have moved out of the middle of their box; the
-        second and further rounds of a grid that is not settled after a few blocks.
+        second and further rounds of a grid that is not settled.
         """
-        elapsed = block.middle - self._began
-        if not block.is_observed:
-            return False
-        if self._press is None:
-            return self._blocks >= _LEAST_BLOCKS and elapsed >= _LEAST_TIME
-        time, depth = self._laid_at
-        assert self.filter is not None
-        if self._cells >= _MOST:
-            return True
-        if elapsed - time < _ROUND_TIME:
+        if self._press is None or self._newest is None or not self._newest.is_observed:
             return False
         if self.gate.is_beyond:
             return False
+        assert self.filter is not None
         grid = self.filter.grid
         is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
         if not self.is_settled and not is_given_up:
             return True
-        if elapsed > _GROWTH * time or self.deepest > _GROWTH * depth:
+        before = sum(press.end - press.start for press in self._ended)
+        elapsed = before + self._newest.middle - self._began
+        if elapsed > _GROWTH * (before + self.laid_at) or self.deepest > _GROWTH * self._laid_deep:
             return True
         return not is_given_up and self._has_moved()
 
@@ -318,7 +335,7 @@ class PlacePosterior:
             self._agrees_until = self.now + _AGREES
         elif before is None or not was_settled or not _agree(before, self.filter):
             self._agrees_until = -math.inf
-        self._laid_at = self.now - self._began, self.deepest
+        self.laid_at, self._laid_deep = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def _lay_afresh(self, start: Start) -> None:

@@ -80,7 +80,7 @@ class Rival:
         """Lay all rounds, at the end of a press."""
         if not self._can_tell:
             return
-        self._grid, self._rounds = None, 0
+        self._rounds = 0
         while self._rounds < _ROUNDS and not (self._grid is not None and self._grid.is_settled):
             self.lay(state)
             if not state.grid.is_settled:
