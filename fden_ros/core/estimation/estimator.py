@@ -155,7 +155,7 @@ class GridEstimator(Estimator):
         possible, best = self._possible(_FAR), max(one.log_weight for one in self._hypotheses)
         for one in self._hypotheses:
             if one.place.is_fresh:
-                one.laid_odds = one.log_weight - best
+                one.laid_odds, self._round_at = one.log_weight - best, self._now
         stale = [
             one
             for one in self._hypotheses
