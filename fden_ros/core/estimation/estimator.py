@@ -37,8 +37,6 @@ _ODDS, _FAR = 20.0, 200.0
 _STALE = 2.0
 #: Least time between two rounds [s].
 _ROUND_TIME = 0.03
-#: Hypotheses of the press before that go on [1].
-_CONTINUED = 1
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -102,18 +100,14 @@ class GridEstimator(Estimator):
         known = [one for one in other._hypotheses if one.place.filter is not None]
         if not known:
             return
-        known.sort(key=lambda one: -one.log_weight)
-        own_sd, best = self._setting.contact_point_sd, known[0]
+        best = max(known, key=lambda one: one.log_weight)
+        own_sd, base = self._setting.contact_point_sd, best.place.log_evidence
+        same, elsewhere = best.place.continued(), best.place.continued(own_sd)
         self._hypotheses = [
-            _Hypothesis(PlacePosterior(self._setting, best.place.noise_sd), log_wider)
+            _Hypothesis(PlacePosterior(self._setting, best.place.noise_sd), log_wider),
+            _Hypothesis(same, math.log(2.0), best.shift + shift, base),
+            _Hypothesis(elsewhere, log_wider, base=base),
         ]
-        for one in known[:_CONTINUED]:
-            log_weight, base = one.log_weight - best.log_weight, one.place.log_evidence
-            same, elsewhere = one.place.continued(), one.place.continued(own_sd)
-            self._hypotheses += [
-                _Hypothesis(same, log_weight + math.log(2.0), one.shift + shift, base),
-                _Hypothesis(elsewhere, log_weight + log_wider, base=base),
-            ]
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
