@@ -27,9 +27,10 @@ rig are stated to be exact, except for the thickness.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +80,8 @@ _SHALLOW = 1e-3  #: least compression at which the noise of the motion counts [1
 _ERROR = 2e-4
 
 
-class _Block(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Block:
     """Piecewise linear motion, and the mean stress over it."""
 
     steps: Array  #: times between the points [s], shape (c,)
@@ -87,6 +89,15 @@ class _Block(NamedTuple):
     shares: Array  #: of the samples, by point, shape (c,)
     stress: float  #: [Pa]
     noise: float  #: its variance [Pa^2]
+
+    @functools.cached_property
+    def memory(self) -> tuple[Array, Array, Array]:
+        """Decay of the past at the points, (c, rates), of their rises, (c, c, rates), and gain."""
+        times = np.cumsum(self.steps)
+        decay = np.exp(-RATES * np.maximum(np.subtract.outer(times, times), 0.0)[..., None])
+        decay *= np.tri(times.size)[..., None]
+        y = RATES * self.steps[:, None]
+        return np.exp(-RATES * times[:, None]), decay, -np.expm1(-y) / y
 
 
 class _Bank(InformationFilter):
@@ -184,12 +195,7 @@ class _Grid:
         The past of a node is one number a rate, as the kernel is a sum of exponentials
         (:mod:`fden_ros.core.law.relaxation`).
         """
-        times = np.cumsum(block.steps)
-        decay = np.exp(-RATES * np.maximum(np.subtract.outer(times, times), 0.0)[..., None])
-        decay *= np.tri(times.size)[..., None]
-        y = RATES * block.steps[:, None]
-        gain = -np.expm1(-y) / y
-        passed = np.exp(-RATES * times[:, None])
+        passed, decay, gain = block.memory
         rises = np.diff(p, axis=0, prepend=self._p[None])
         kernels, count = self._kernels, self.slices
         memory = self._memory.reshape(count, -1, RATE_COUNT)

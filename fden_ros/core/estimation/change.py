@@ -67,9 +67,7 @@ class ChangeGate:
 
     def _compared(self, tail: Press, stress: float) -> CellInnovation | None:
         """Compare a block with the trusted filter; None: it is not off that."""
-        trusted = self._trusted
-        own = trusted.compared(tail, stress) if trusted is not None else None
-        if trusted is None or own is None:
+        if (trusted := self._trusted) is None or (own := trusted.compared(tail, stress)) is None:
             return None
         if self._count:
             if own.innovation * self._side > _LASTING * math.sqrt(own.variance):

@@ -151,9 +151,7 @@ class GridEstimator(Estimator):
             if one.place.is_fresh:
                 one.laid_odds, self._round_at = one.log_weight - best, self._now
         stale = [
-            one
-            for one in self._hypotheses
-            if abs(one.log_weight - best - one.laid_odds) > _STALE and not one.place.is_fresh
+            one for one in self._hypotheses if abs(one.log_weight - best - one.laid_odds) > _STALE
         ]
         self._hypotheses = [one for one in self._hypotheses if one in possible or one in stale]
         before, self._block_at = self._block_at, self._now

@@ -215,11 +215,7 @@ class PlacePosterior:
             is_due = self._blocks >= _LEAST_BLOCKS and block.middle - self._began >= _LEAST_TIME
         # Those of one touch are gathered at the same block: evidences are of the same cells.
         if is_due and block.is_observed:
-            self._lay()
-
-    def lay(self) -> None:
-        """Lay one round of the record by now."""
-        self._lay()
+            self.lay()
 
     def ask(self) -> bool:
         """Lay one round of another grid: from nothing, or of a rival; False: nothing is due."""
@@ -304,7 +300,7 @@ class PlacePosterior:
         last = max((k for k, block in enumerate(blocks) if block.is_observed), default=-1)
         return blocks[: last + 1]
 
-    def _lay(self, *, most: int = _GATHERED) -> None:
+    def lay(self, *, most: int = _GATHERED) -> None:
         """Lay one round of the record by now."""
         if self._press is None or self._cells >= _MOST or most != _GATHERED:
             blocks = self._observed()
@@ -354,12 +350,12 @@ class PlacePosterior:
             self._start = None
             if _likelier(own, grid) is grid:
                 self._take(grid)
-                self._lay()
+                self.lay()
 
     def lay_again(self) -> None:
         """Lay a grid of the presses that have ended."""
         self._press = self._ended.pop()
-        self._lay()
+        self.lay()
         self._ended.append(self._press)
         self._press = None
 
@@ -370,14 +366,14 @@ class PlacePosterior:
         for block in self._record.close():
             self._append(block)
         if self._press is not None:
-            self._lay(most=_ENDED)
+            self.lay(most=_ENDED)
             if self.filter is not None and self.elapsed > _AFRESH_END * self._afresh_at:
                 own = self.filter.grid
                 self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
             for _ in range(_LAST_ROUNDS):
                 if self.filter is None or self.filter.grid.is_settled:
                     break
-                self._lay()
+                self.lay()
             self._agrees_until = -math.inf
             self._ended.append(self._press)
         self._record = self._press = None

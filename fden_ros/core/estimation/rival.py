@@ -80,11 +80,11 @@ class Rival:
         """Lay all rounds, at the end of a press."""
         if not self._can_tell:
             return
-        self._rounds = 0
-        while self._rounds < _ROUNDS and not (self._grid is not None and self._grid.is_settled):
+        # One at least: the record is longer than that of the round before.
+        self._rounds, is_settled = 0, False
+        while not is_settled and self._rounds < _ROUNDS and state.grid.is_settled:
             self.lay(state)
-            if not state.grid.is_settled:
-                return
+            is_settled = self._grid is not None and self._grid.is_settled
 
 
 def _probability(law: Grid, rival: Grid) -> float:
