@@ -107,11 +107,11 @@ def law(estimate: Estimate | None) -> str:
     if estimate is None or error is None:
         return ""
     text = (
-        f"relaxation off by {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
-        f"curve by {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
+        f"relaxation {error.kernel:.3f} ± {error.kernel_sd:.3f}, "
+        f"stress-strain curve {error.characteristic:.3f} ± {error.characteristic_sd:.3f}"
     )
     plateau = estimate.plateau_probability
-    return text if math.isnan(plateau) else f"{text}; a plateau has a probability of {plateau:.2f}"
+    return text if math.isnan(plateau) else f"{text}; probability of a plateau {plateau:.2f}"
 
 
 def _rounded_up(value: float) -> str:

@@ -167,7 +167,12 @@ def signals(session: Session, contact: Contact) -> str:
     geometry = session.config.geometry
     states = [state for state in contact.states if state.signals is not None]
     seconds, per_force = _since_touch(states), geometry.stress_per_force
-    depth = [1e3 * geometry.length * geometry.compression(s.signals.strain) for s in states]
+    last = states[-1].estimate
+    ratios = np.array([geometry.compression(s.signals.strain) for s in states])
+    if last is not None:  # a state's depth is from the surface as it was known by then
+        ratios += [s.estimate.contact_point - last.contact_point if s.estimate else 0.0
+                   for s in states]  # fmt: skip
+    depth = 1e3 * geometry.length * ratios
     force = np.array([s.signals.stress / per_force for s in states])
     predicted = [
         math.nan if s.innovation is None else s.innovation.predicted_stress / per_force
@@ -268,7 +273,7 @@ def convergence(contact: Contact, truth: dict[str, Any] | None) -> str:
             final = float(value[-1])
             away = np.abs(np.concatenate([low, high]) - final)
             half = 1.3 * min(float(np.quantile(away, 0.9)), 2.0 * final) + 0.02 * final
-            axes.set_ylim(final - half, final + half)
+            axes.set_ylim(max(final - half, 0.0), final + half)
             axes.set_ylabel(label)
             style.write_ticks(axes)
         figure.axes[0].set_title("The estimate")
