@@ -108,6 +108,7 @@ class Pressed(NamedTuple):
     forces: Array  #: [N], or [Pa] for pass_through
     displacements: Array  #: [m], or strain [1]
     changed_at: float
+    tissue: FdenModel
 
 
 def run(args: argparse.Namespace) -> Report:
@@ -196,7 +197,7 @@ def press(geometry: Geometry, rate_hz: float, change: Change, number: int) -> Pr
     stress = stress + chance.normal(0.0, _NOISE_PA, times.size)
     depths = geometry.depth_of_strain(_strains(knots, times))
     depths = depths + chance.normal(0.0, _NOISE_SHARE * geometry.length_m, times.size)
-    return Pressed(times, stress * geometry.force_per_stress, depths, changed_at)
+    return Pressed(times, stress * geometry.force_per_stress, depths, changed_at, model)
 
 
 def _knots(geometry: Geometry, strain_rate: float) -> tuple[list[LinearMove], float]:

@@ -33,6 +33,7 @@ from fden_ros.core.estimation.grid import (
     Grid,
     Stiffness,
     cut,
+    have_width,
     least_effective,
     log_evidence_of,
     log_sum,
@@ -172,7 +173,7 @@ class Filter:
         # Nodes too far apart for their posterior: one of them alone would seem to know it.
         own = cut(grid.law, grid.nodes, log)
         self.weights, beta = tempered(own, least_effective(grid.law))
-        self.is_coarse = beta < 1.0
+        self.is_coarse = beta < 1.0 or not have_width(grid.places, self.weights)
         self.log_evidence = log_evidence_of(grid.law, log)
 
     @property

@@ -38,6 +38,9 @@ from fden_ros.core.estimation.law import Expansion, Law, Linear
 REACH = 3.0
 #: A grid is too coarse below this part of the effective number of nodes of a Gaussian in it [1].
 _LEAST_EFFECTIVE = 0.46
+#: And along each axis of the box below this part of its standard deviation [1]: of one narrower
+#: than 0.4 nearly all weight may lie at one place.
+_LEAST_WIDTH = 0.3
 #: A scale replaces the leading one where the log evidence gains this [1].
 _LEAST_GAIN = 0.5
 #: A grid is settled where its log evidence has changed by less than this [1].
@@ -241,6 +244,19 @@ def least_effective(law: Law) -> float:
     return float(np.prod(np.maximum(_LEAST_EFFECTIVE * gaussian, 1.0)))
 
 
+def places_in(law: Law, box: Box, nodes: Array) -> Array:
+    """Return the places of nodes along the axes of a box, in its standard deviations."""
+    is_open = open_of(law)
+    lower = box.lower[np.ix_(is_open, is_open)]
+    return np.asarray(np.linalg.solve(lower, (nodes - box.mean)[:, is_open].T).T)
+
+
+def have_width(places: Array, weights: Array) -> bool:
+    """Whether weights resolve each axis of a box, at places in it."""
+    off = places - weights @ places
+    return bool(np.all(weights @ (off * off) > _LEAST_WIDTH**2))
+
+
 def product(box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
     """Return the nodes of a product grid within a ball, and the log volume of a cell."""
     axes, log_volume = [], 0.0
@@ -310,6 +326,11 @@ class Grid:
     def prior(self) -> Array:
         """The covariance of a state at the leading scales, (k, k)."""
         return self.covariance.prior(self.start.scales)
+
+    @functools.cached_property
+    def places(self) -> Array:
+        """The nodes along the axes of the box."""
+        return places_in(self.law, self.start.box, self.nodes)
 
     @property
     def weights(self) -> Array:
@@ -461,10 +482,10 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     own = _weighed(law, noise, start)
     linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
     weights, beta = tempered(log, least_effective(law))
-    is_coarse = beta < 1.0
+    is_coarse = beta < 1.0 or not have_width(places_in(law, start.box, nodes), weights)
     has_moments = law.has_close_nodes and not is_coarse
     box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
-    if start.rounds >= _DAMPED_FROM:
+    if start.rounds >= _DAMPED_FROM and not is_coarse:
         box = _between(start.box, box)
     mixture, scales = _likely_scales(law, own, start)
     total = float(log_sum(log))
@@ -567,7 +588,7 @@ def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
     lower, at = np.zeros_like(own), np.ix_(is_open, is_open)
     # Where much lies at an edge of the box, the next is wider there.
     z = np.zeros_like(nodes)
-    z[:, is_open] = np.linalg.solve(box.lower[at], (nodes - box.mean)[:, is_open].T).T
+    z[:, is_open] = places_in(law, box, nodes)
     edge = weights @ (np.abs(z) > 0.8 * REACH) > 0.05
     own += 4.0 * box.lower[:, edge] @ box.lower[:, edge].T
     lower[at] = np.linalg.cholesky(own[at])
