@@ -1,7 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Identify soft tissue online with the FDEN model: fractional dynamics, exponential stress."""
+"""Identify soft tissue with the FDEN model: fractional dynamics, exponential nonlinearity.
+
+:func:`fden_ros.fit` identifies the tissue of arrays; ``docs/python.md`` has the rest.
+"""
 
 from __future__ import annotations
 

@@ -30,26 +30,26 @@ def _table(text: str) -> dict[str, Advice]:
 
 #: By the flag of a contact: what counts most comes first.
 FLAGS = _table("""
-IMPLAUSIBLE | strain, force, rate or a size cannot be what it says | check the units
-GEOMETRY_UNSTATED | the geometry is not stated: the numbers are those of a default probe | state
-  probe and tissue (geometry) for G and Gn
+IMPLAUSIBLE | strain, force, rate or a size is impossible | check the units
+GEOMETRY_UNSTATED | the geometry is not stated, so the numbers are those of a default probe
+  | state probe and tissue (geometry) to get G and Gn
 TOUCH_NOT_OBSERVED | the touch was not observed: the recording lacks it, or noise and drift hide it
-  | begin 1 s in the air, and touch within 5 s or with a larger face, for G and Gn
-ESTIMATION_FAILED | the computation failed at this site: there is no estimate before the next site
+  | begin with 2 s in the air, and touch within 5 s or with a larger face, to get G and Gn
+ESTIMATION_FAILED | the computation failed at this site: there is no estimate until the next site
   | report it, with the traceback of the log
 MODEL_MISMATCH | the model does not describe this contact: it mispredicts the force
   | rely on the measured slope, and measure the delay with fden configure
-TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deep
+TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deeply
 ALPHA_PRIOR_CONFLICT | the relaxation contradicts the stated alpha
-  | learn alpha from the data (alpha.learn: true), or state that of this tissue
+  | learn alpha from the data (alpha.learn: true), or state the alpha of this tissue
 RIG_PRIOR_CONFLICT | delay, friction, compliance or play is more than 2.5 standard deviations
-  off what is stated, and the deviations are widened
+  off what is stated, so the standard deviations are widened
   | measure the delay with fden configure and state it (displacement.delay), or press a rigid plate
-FORCE_DRIFTED | the force in the air after the contact differs from that before it, and the
-  deviations are widened by as much | tare, let the sensor warm up, or state force.drift_sd
+FORCE_DRIFTED | the force in the air after the contact differs from the force before it, so the
+  standard deviations are widened | tare, let the sensor warm up, or state force.drift_sd
 SATURATED | the force was at its limit: stuck, beyond force.limit, or constant while the probe
-  moved on | press less, or raise force.limit if it is below the sensor's
-GAP | samples are missing within this site's memory | make the link reliable
+  moved on | press less, or raise force.limit if the sensor's limit is higher
+GAP | samples of this site are missing | make the link reliable
 """)
 #: By the source of a variance.
 SOURCES = _table("""
@@ -67,11 +67,11 @@ prior | the width of the prior | hold for 2 s for alpha, or press deeper
 """)
 #: By what a contact lacks without a flag, and by the parameter at a limit of its prior.
 LACKS = _table("""
-linear part | {noise} of noise hide the linear part, so G is not observable
+linear part | noise of {noise} hides the linear part, so G is not observable
   | use a larger face or a quieter sensor
 bend | Gn is not observable: the strain reached {strain:.3f}, not clearly beyond the boundary
   1/Gn, about {boundary:.3f} | press to {depth} mm for Gn
-settled | not converged: the estimator has not settled, or another explanation is as likely
+settled | the estimator has not settled, or another explanation is equally likely
   | press here again
 alpha | alpha is not determined by the data | hold for 2 s for alpha
 estimate | there is no estimate
@@ -88,32 +88,33 @@ fractional_order | alpha is at a limit of the range of tissue
 INPUTS = _table("""
 no pair | no pair of force and displacement: do the stamps of the two topics overlap?
 no contact | no contact was found
-  | check force.axis and displacement.axis (both must grow as the probe presses) and
-  force.threshold
+  | check force.threshold, and the signs of force.axis and displacement.axis: both must grow as
+  the probe presses
 """)
 #: By what keeps the inputs from the node.
 TOPICS = _table("""
 nothing | nothing publishes {topic}, where {expected} is expected
   | start its publisher, or remap it, {remap}
-elsewhere | nothing publishes {topic}, where {expected} is expected: {other} has that type
+elsewhere | nothing publishes {topic}, where {expected} is expected, but {other} has that type
   | remap it, {remap}
-other type elsewhere | nothing publishes {topic}, where {expected} is expected: {other} is {kind}
+other type elsewhere | nothing publishes {topic}, where {expected} is expected, but {other}
+  is {kind}
   | remap it, {remap}, and set {stream}.message to {name}
 type | {topic} is published as {kind}, expected {expected}
   | set {stream}.message to {name}, or remap it, {remap}
 unknown type | {topic} is published as {kind}, expected {expected} | remap it, {remap}
 reliability | a publisher on {topic} offers best_effort but reliable is requested: nothing
   arrives from it | set {override} to best_effort
-several | {topic} has {count} publishers: their samples are mixed
-silent | {topic} is published by {names}, but no message has arrived
+several | {topic} has {count} publishers, whose samples are mixed | stop all but one
+silent | {names} publishes {topic}, but no message has arrived
 zero_stamp | the header stamps of the {stream} are not set
   | set them, or set synchronize.stamp_source to receive
-missing_field | no joint of that name has the value | set {stream}.name
-no_transform | no transform has the time of a force | stamp both with one clock
+missing_field | no joint of that name has a value | set {stream}.name
+no_transform | no transform has the time of a force sample | stamp both with one clock
 no pair | do their header stamps overlap, and come from one clock?
   | if not, set synchronize.stamp_source to receive
 no clock | use_sim_time is set but nothing publishes /clock
   | play the bag with ros2 bag play --clock, or set use_sim_time to false
 two identifiers | {topic} has {count} publishers, whose estimates are mixed
-  | end the other identifier of this name, or name it with -r __node:=NAME
+  | stop the other identifier of this name, or rename one with -r __node:=NAME
 """)

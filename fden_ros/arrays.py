@@ -29,7 +29,7 @@ _NS = 1e9
 
 
 class Number(NamedTuple):
-    """A value and its standard deviation; both are NaN where it is not known."""
+    """A value and its standard deviation; both are NaN if the value is not known."""
 
     value: float
     sd: float
@@ -47,7 +47,7 @@ class FittedContact:
     start, end : float
         Touch and release, in the times that were given [s].
     summary : ContactSummary
-        All that the pipeline states of it.
+        Everything that the pipeline says about the contact.
     samples : tuple of ndarray
         Time [s], force [N] and displacement [m] of the contact, shape (n,) each.
     """
@@ -92,23 +92,23 @@ class FittedContact:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Names of what stands against it, such as ``"MODEL_MISMATCH"``."""
+        """Names of the flags that were raised, such as ``"MODEL_MISMATCH"``."""
         return tuple(flag.name for flag in Flag if flag & self.summary.flags and flag.name)
 
     def predict(self, time: Any, displacement: Any) -> Array:
-        """Return the force of another motion on the tissue at rest, by the law.
+        """Return the force by the law, for another motion on tissue at rest.
 
         Parameters
         ----------
         time : array_like, shape (n,)
-            [s], increasing, from any zero.
+            Times [s]. They increase, and may begin at any zero.
         displacement : array_like, shape (n,)
-            Depth below the untouched surface [m]; the motion begins at or above it.
+            Depth below the untouched surface [m]. The motion begins at the surface or above it.
 
         Returns
         -------
         ndarray, shape (n,)
-            Force [N]; NaN where G, Gn or alpha is not known.
+            Force [N]; NaN if G, Gn or alpha is not known.
         """
         times, depths = _arrays(time=time, displacement=displacement)
         g, gn, order = (number.value for number in (self.G, self.Gn, self.alpha))
@@ -127,7 +127,7 @@ class FittedContact:
         return np.maximum(stresses, 0.0) / self.geometry.stress_per_force
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw force over displacement as measured; return the axes, of matplotlib."""
+        """Draw the measured force over displacement; return the axes of matplotlib."""
         if axes is None:
             from matplotlib import pyplot
 
@@ -148,13 +148,13 @@ class FittedContact:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What :func:`fit` has found: the contacts, in their order, and warnings in words."""
+    """What :func:`fit` has found: the contacts in order of time, and warnings in words."""
 
     contacts: tuple[FittedContact, ...]
     warnings: tuple[str, ...]
 
     def to_dataframe(self) -> DataFrame:
-        """Return a table of pandas with a row a contact: each number and its sd."""
+        """Return a table of pandas with one row per contact: each number and its sd."""
         try:
             import pandas  # type: ignore[import-not-found,import-untyped,unused-ignore]
         except ImportError:
@@ -180,29 +180,32 @@ def fit(
     Parameters
     ----------
     time : array_like, shape (n,)
-        [s], increasing, from any zero.
+        Time of each sample [s]. It increases, and may begin at any zero.
     force : array_like, shape (n,)
-        [N], growing when the probe presses; with `torsional_rheometer` a torque [N m].
+        Force [N], which grows when the probe presses; with `torsional_rheometer` a torque [N m].
     displacement : array_like, shape (n,)
-        [m], growing into the tissue, from any zero. Begin in the air.
+        Displacement [m], which grows into the tissue, from any zero. The recording must begin in
+        the air.
     geometry : mapping, optional
-        Of probe and tissue, such as ``{"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}``
-        or ``{"kind": "sphere", "radius": 0.005}``. Without it only measured slopes are known.
+        Probe and tissue, such as ``{"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}``
+        (SI units) or ``{"kind": "sphere", "radius": 0.005}``. Without it only measured slopes are
+        known.
     **parameters
-        Other parameters of ``config/identifier.yaml`` by their group, such as
+        Other parameters of ``config/identifier.yaml``, by their group, such as
         ``prior={"alpha": 0.131}, estimator={"kind": "ekf"}``.
 
     Returns
     -------
     Fit
-        `contacts`, each with `stiffness`, `G`, `Gn` and `alpha` as (value, sd), `covariance`,
-        `flags`, `converged`, `predict` and `plot`; `warnings`; `to_dataframe`. The numbers are
-        those of ``fden replay``. What is not known is NaN.
+        Its `contacts` are in order of time. Each has `stiffness` [N/m], `G` [Pa s^alpha], `Gn`
+        and `alpha` as (value, sd), and `covariance`, `flags`, `converged`, `predict` and `plot`.
+        A number that is not known is NaN. `warnings` is a tuple of sentences, and
+        `to_dataframe()` returns a table of pandas. The numbers are those of ``fden replay``.
 
     Raises
     ------
     InputError
-        If an array or a parameter cannot be used: one line says why.
+        If an array or a parameter cannot be used. Its message is one line that says why.
 
     Examples
     --------
@@ -238,9 +241,11 @@ def _arrays(**given: Any) -> list[Array]:
         try:
             array = np.asarray(values, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"{name} is no array of numbers: give floats in SI units") from None
+            raise InputError(
+                f"{name} is not an array of numbers: give floats in SI units"
+            ) from None
         if array.ndim != 1 or array.size == 0:
-            raise InputError(f"{name} has the shape {array.shape}: give one number a sample")
+            raise InputError(f"{name} has the shape {array.shape}: give one number per sample")
         if found and array.size != found[0].size:
             raise InputError(f"{name} has {array.size} samples, time has {found[0].size}")
         if not np.isfinite(array).all():

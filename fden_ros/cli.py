@@ -32,26 +32,25 @@ _HELP_WIDTH = 96
 
 #: What ``fden --help`` says of each module of :mod:`fden_ros.commands`.
 COMMANDS = {
-    "bag": "make a synthetic palpation bag",
-    "replay": "estimate from a recorded bag",
-    "report": "write a report on a recording",
-    "batch": "identify all bags of an archive",
+    "configure": "write a parameter file from recordings of an unknown probe",
+    "replay": "identify the tissue of a recording",
+    "report": "write a page about a recording",
+    "monitor": "show the state of a running identifier",
+    "live": "run simulator, identifier, controller and monitor together",
+    "batch": "identify all recordings of an archive",
     "play": "publish a bag on live topics",
-    "train": "learn a tissue library from labelled contacts",
-    "fit": "identify from a laboratory's experiment (CSV)",
-    "configure": "propose a parameter file from recordings of an unknown probe",
     "parameters": "print every parameter of the identifier, explained",
-    "benchmark": "measure accuracy and speed against their goals",
-    "monitor": "show the state of a running identifier in the terminal",
-    "live": "simulator, identifier, controller and monitor together",
+    "train": "learn a tissue library from labelled contacts",
+    "fit": "identify from an experiment with a rheometer or a robot",
+    "bag": "simulate a palpation and write it as a bag",
+    "benchmark": "measure accuracy and speed, and compare them with their goals",
 }
 
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
-  fden configure rec -o probe.yaml    a parameter file from a recording of an unknown probe
-  fden replay rec --config probe.yaml
-                                      G and Gn of each contact
+  fden configure rec -o probe.yaml        write a parameter file from a recording
+  fden replay rec --config probe.yaml     print N/m, G and Gn of each contact
 """
 
 

@@ -220,11 +220,11 @@ TABLES: dict[str, Table] = {
     ),
     "dates of another order": Table(
         "Time,force_N,depth_mm\n14/03/2026 09:59:55.1,1,2\n14/03/2026 09:59:55.2,1,2\n",
-        refused=("'14/03/2026 09:59:55.1', which is no number", "--columns '@RATE,force_N,"),
+        refused=("'14/03/2026 09:59:55.1', which is not a number", "--columns '@RATE,force_N,"),
     ),
     "numbers with their units": Table(
         "Time (s),Load (N),Depth (mm)\n0 s,1,2\n1 s,2,3\n",
-        refused=("Time (s) holds '0 s', which is no number", "--columns '@RATE,"),
+        refused=("Time (s) holds '0 s', which is not a number", "--columns '@RATE,"),
     ),
     "headings alone": Table(NEWTONS, refused=("has no rows of numbers below Time (s), Load",)),
     "no such column": Table(
@@ -259,9 +259,9 @@ TABLES: dict[str, Table] = {
     "gzip without its name": Table(gzip.compress(b"t,f\n"), refused=("name it .csv.gz",)),
     "JSON": Table('{"t": [0, 1]}', refused=("it is JSON: save its columns as CSV",)),
     "a workbook": Table(b"PK\x03\x04\0\0", file="press.xlsx", refused=("sheet as CSV",)),
-    "a picture": Table(b"\x89PNG\0\0\0\1\0abc", refused=("it is no text",)),
+    "a picture": Table(b"\x89PNG\0\0\0\1\0abc", refused=("it is not a text",)),
     "a broken gzip": Table(
-        b"time_s,force_N", file="press.csv.gz", refused=("it is no complete gzip file",)
+        b"time_s,force_N", file="press.csv.gz", refused=("it is not a complete gzip file",)
     ),
     "nothing": Table("", refused=("is empty",)),
 }  # fmt: skip
@@ -496,7 +496,9 @@ BAGS: dict[str, Bag] = {
     "a MATLAB file": Bag(
         lambda at, m: holding(at / "a.mat", "MATLAB 5.0 MAT-file, "), refused="it is a MATLAB file"
     ),
-    "a text as MCAP": Bag(lambda at, m: holding(at / "a.mcap", "time,f\n"), refused="is no bag"),
+    "a text as MCAP": Bag(
+        lambda at, m: holding(at / "a.mcap", "time,f\n"), refused="is not a bag"
+    ),
 }
 
 

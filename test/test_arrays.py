@@ -78,7 +78,7 @@ def test_a_table_has_a_row_a_contact():
     ("change", "words"),
     [
         ({"force": [1.0]}, "force has 1 samples"),
-        ({"force": ["a"] * 2226}, "force is no array of numbers"),
+        ({"force": ["a"] * 2226}, "force is not an array of numbers"),
         ({"time": np.zeros(2226)}, "time does not increase at sample 1"),
         ({"displacement": np.full(2226, math.nan)}, "displacement has NaN"),
         ({"force": np.zeros((2226, 3))}, "force has the shape"),

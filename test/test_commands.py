@@ -122,7 +122,7 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     said = capsys.readouterr()
     assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
     (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
-    assert str(archive / "broken.mcap") in line and "is no bag" in line
+    assert str(archive / "broken.mcap") in line and "is not a bag" in line
     rows = sorted(rows_of(table), key=lambda row: row["bag"])
     assert [Path(row["bag"]).name for row in rows] == ["air", "broken.mcap", "press", "press"]
     assert [bool(row["error"]) for row in rows] == [False, True, False, False]
@@ -193,7 +193,7 @@ def test_another_table_is_not_touched(tmp_path):
     with pytest.raises(InputError, match="another kind"):
         batch.Results(path, "")
     path.write_bytes(bytes(range(128, 256)))
-    with pytest.raises(InputError, match="no table of results"):
+    with pytest.raises(InputError, match="not a table of results"):
         batch.Results(path, "")
 
 

@@ -45,7 +45,7 @@ def code_blocks(text: str) -> list[str]:
 def test_the_parameter_file_holds_every_parameter_at_its_default():
     path = ROOT / "config" / "identifier.yaml"
     assert path.read_text(encoding="utf-8") == parameter_file(), (
-        "make it anew: scripts/ros_env scripts/tables"
+        "make it again: scripts/ros_env scripts/tables"
     )
     assert read_parameter_file(path) == Parameters()
 

@@ -244,7 +244,7 @@ BAD = {
     "one row": ("creep", "time_s,strain,stress_pa\n1,0.1,50\n", "rows: 1; a creep fit needs"),
     "missing column": ("creep", GOOD.replace("strain,", "x,"), "column strain"),
     "text": ("creep", GOOD.replace("0.11", "soft"), "line 3: '2,soft,50' has no number"),
-    "hole": ("creep", GOOD.replace("0.11", ""), "line 3: strain is no finite number"),
+    "hole": ("creep", GOOD.replace("0.11", ""), "line 3: strain is not a finite number"),
     "unsorted": ("creep", GOOD.replace("\n3,", "\n1.5,"), "line 4: time_s 1.5 does not come"),
     "negative": ("creep", GOOD.replace("0.11", "-0.11"), "line 3: strain is -0.11; it must be"),
     "two stresses": ("creep", GOOD.replace("0.12,50", "0.12,90"), "a test has one"),

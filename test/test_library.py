@@ -234,7 +234,7 @@ def test_contacts_are_the_converged_rows(tmp_path):
     [
         ((ROW.replace("True", "False"),), "none of its 1 contacts has converged"),
         ((ROW, ROW.replace("one", "two")), "several configurations"),
-        ((ROW.replace("500", ""),), "no table of fden batch"),
+        ((ROW.replace("500", ""),), "not a table of fden batch"),
     ],
 )
 def test_table_that_teaches_nothing_is_refused(tmp_path, rows, said):

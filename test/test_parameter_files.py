@@ -221,7 +221,10 @@ def test_replay_reads_the_sections_of_the_node_that_is_named(tmp_path, capsys):
             ("--log-level", "loud"),
             "there is no log level loud: it must be one of debug, info, warn, error, fatal, unset",
         ),
-        (("-p", "geometry.area=1"), "-p geometry.area=1 is no parameter: expected -p NAME:=VALUE"),
+        (
+            ("-p", "geometry.area=1"),
+            "-p geometry.area=1 is not a parameter: expected -p NAME:=VALUE",
+        ),
         (("-p", "force.axis:=[1, 2"), "-p force.axis:=[1, 2: not valid YAML"),
         (
             ("--", "--params-file", "probe.yaml"),

@@ -33,7 +33,7 @@ names, or of headings with units such as "Time (s)":
   {"KIND":14}{"columns":50}gives
 {_ROWS}
 
-Prints a table with standard deviations and 95 % intervals, or with --json one object.
+The command prints a table with standard deviations and 95 % intervals, or one object with --json.
 """
 
 EPILOG = """\

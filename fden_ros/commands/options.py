@@ -118,17 +118,25 @@ def _pair(separator: str, expected: str) -> Callable[[str], tuple[str, str]]:
 
 JSON = _option("--json", "print one JSON object", bool)
 _IDENTIFIER = _option(
-    "identifier", "its name (default: %(default)s)", nargs="?", default="/identifier"
+    "identifier", "name of the node (default: %(default)s)", nargs="?", default="/identifier"
 )
 _DURATION = _option("--duration", "stop after this time [s]", positive, "S")
 _BAG = _option("bag", "a bag or a table: a path, or a URL of s3, https, sftp", metavar="BAG")
 _REPLACE = _option("--force", "replace what is there already", bool)
 CONFIG = (
     _option(
-        "--config", "parameter file (YAML); a later one overrides", Path, "FILE", action="append"
+        "--config",
+        "parameter file (YAML); of several, the last one counts",
+        Path,
+        "FILE",
+        action="append",
     ),
     _option(
-        "--node", "whose sections of it count (%(default)s)", str, "NAME", default="/identifier"
+        "--node",
+        "node whose sections are read (default: %(default)s)",
+        str,
+        "NAME",
+        default="/identifier",
     ),
 )
 #: Where in a recording force and displacement are.
@@ -139,8 +147,8 @@ SELECTION = Group(
         *(
             _option(
                 f"--{one}-field",
-                f"field of its messages that is the {one}: a number, or a vector, projected on "
-                f"{one}.axis (wrench.torque.z, data[2])",
+                f"field of the messages that holds the {one}, such as wrench.torque.z or "
+                f"data[2]; a vector is projected on {one}.axis",
                 _argument(_field_path),
                 "PATH",
             )
@@ -148,14 +156,14 @@ SELECTION = Group(
         ),
         _option(
             "--stamps",
-            "a bag's times: of headers, or of recording",
+            "take the times of a bag from its headers, or from its recording",
             choices=("header", "recording"),
         ),
         _option(
             "--columns",
-            "headings or numbers of a table's columns: time, force, displacement, each with an "
-            "optional factor to s, N and m, as time_s,force_N,depth_mm*1e-3. @500 as time: rows "
-            "at 500 Hz. Not needed if headings name them with their units",
+            "columns of a table with time, force and displacement, by heading or number, each "
+            "with an optional factor to s, N and m: time_s,force_N,depth_mm*1e-3. Write @500 "
+            "for the time of rows at 500 Hz. Not needed if the headings name them with units",
             _argument(_columns),
             "T,F,D",
         ),
@@ -168,8 +176,8 @@ SELECTION = Group(
     ),
 )
 _FACE = (
-    _option("--diameter", "of specimen or face: 50mm, or in m", _argument(_size), "D"),
-    _option("--area", "1963mm2, or in m^2", _argument(_area), "A"),
+    _option("--diameter", "diameter of specimen or face: 50mm, or in m", _argument(_size), "D"),
+    _option("--area", "area of specimen or face: 1963mm2, or in m^2", _argument(_area), "A"),
 )
 _MACHINE = Group(
     "a testing machine's table",
@@ -181,31 +189,41 @@ _MACHINE = Group(
             action=argparse.BooleanOptionalAction,
         ),
         Group("", _FACE),
-        _option("--height --thickness", "of the specimen: 30mm, or in m", _argument(_size), "H"),
+        _option(
+            "--height --thickness", "height of the specimen: 30mm, or in m", _argument(_size), "H"
+        ),
     ),
 )
 _INPUT = (*CONFIG, SELECTION, _MACHINE)
 _WORKERS = (
     _option(
         "--workers",
-        "processes (default: all cores)",
+        "number of processes (default: one per core)",
         count,
         "N",
         default=len(os.sched_getaffinity(0)),
     ),
-    _option("--scheduler", "of a Dask cluster: tcp://HOST:8786, or its file", str, "ADDRESS"),
+    _option(
+        "--scheduler", "scheduler of a Dask cluster: tcp://HOST:8786, or its file", str, "ADDRESS"
+    ),
 )
 _FIT = (
-    _option("--stress", "creep: the constant stress", positive, "PA"),
-    _option("--strain", "relaxation: the constant strain, a ratio", positive, "X"),
-    _option("--from", "leave out rows before this time (creep: 1 s)", number(), "S", dest="start"),
+    _option("--stress", "for creep: the constant stress", positive, "PA"),
+    _option("--strain", "for relaxation: the constant strain, a ratio", positive, "X"),
+    _option(
+        "--from",
+        "leave out rows before this time (default for creep: 1 s)",
+        number(),
+        "S",
+        dest="start",
+    ),
     _option("--alpha", "fractional order, if it is known", number(above=0.0, below=1.0), "A"),
-    _option("--alpha-sd", "its standard deviation (default: exact)", positive, "SD"),
+    _option("--alpha-sd", "standard deviation of A (default: exact)", positive, "SD"),
 )
 _INDENTER = (
-    _option("--flat-punch", "face [m^2]", float, "AREA"),
-    _option("--thickness", "of the tissue [m]", float, "H"),
-    _option("--sphere", "radius of the tip [m]", float, "R"),
+    _option("--flat-punch", "area of a flat face [m^2]", float, "AREA"),
+    _option("--thickness", "thickness of the tissue [m]", float, "H"),
+    _option("--sphere", "radius of a spherical tip [m]", float, "R"),
 )
 
 
@@ -216,41 +234,58 @@ def _output(words: str, metavar: str = "FILE", **more: Any) -> Option:
 OPTIONS: Mapping[str, Sequence[Option | Group]] = {
     "bag": (
         _option("scenario", "name of a scenario, or a YAML file", str, "SCENARIO", nargs="?"),
-        _output("the bag folder to make", "DIR"),
-        _option("--seed", "of tissue and noise", number(least=0, whole=True), "N"),
+        _output("folder of the new bag", "DIR"),
+        _option("--seed", "seed of tissue and noise", number(least=0, whole=True), "N"),
         _REPLACE,
         _option("--list", "list the scenarios and exit", bool),
     ),
-    "replay": (_BAG, *_INPUT, _output("a bag of what the node publishes", "OUT"), _REPLACE, JSON),
-    "report": (_BAG, _output("the page, HTML"), *_INPUT),
+    "replay": (
+        _BAG,
+        *_INPUT,
+        _output("also write what the node would publish, as a bag", "OUT"),
+        _REPLACE,
+        JSON,
+    ),
+    "report": (_BAG, _output("file of the page, HTML"), *_INPUT),
     "batch": (
         _option(
-            "places", "folders of bags, bags, tables, or patterns", str, "DIR_OR_GLOB", nargs="+"
+            "places", "bags, tables, folders of them, or patterns", str, "DIR_OR_GLOB", nargs="+"
         ),
-        _output("the table, CSV; FILE.parquet: as Parquet too", required=True),
+        _output("file of the table, CSV or .parquet", required=True),
         Group("", _WORKERS),
         *_INPUT,
     ),
     "play": (
         _option("bag", "a bag", str, "BAG"),
-        _option("--rate", "speed (default: 1)", positive, "R", default=1.0),
+        _option("--rate", "speed of playing (default: 1)", positive, "R", default=1.0),
         _option(
-            "--remap", "other names", _pair(":=", "FROM:=TO"), "FROM:=TO", nargs="+", default=[]
+            "--remap",
+            "publish a topic by another name",
+            _pair(":=", "FROM:=TO"),
+            "FROM:=TO",
+            nargs="+",
+            default=[],
         ),
     ),
     "train": (
-        _option("labelled", "tables of fden batch", str, "TISSUE=TABLE", nargs="+"),
-        _output("the library, YAML", required=True),
+        _option(
+            "labelled",
+            "a tissue, and the table of fden batch with its contacts",
+            str,
+            "TISSUE=TABLE",
+            nargs="+",
+        ),
+        _output("file of the library, YAML", required=True),
         *CONFIG,
     ),
     "fit": (
         _option("kind", ", ".join(EXPERIMENTS), metavar="KIND", choices=EXPERIMENTS),
-        _option("file", "a CSV file, or a folder of them", Path, "FILE"),
+        _option("file", "a CSV file, or a folder of CSV files", Path, "FILE"),
         JSON,
-        Group("what the file does not say", _FIT),
+        Group("if the file does not say it", _FIT),
     ),
     "configure": (
-        _option("recordings", "bags or tables of one rig", Path, "RECORDING", nargs="+"),
+        _option("recordings", "bags or tables, all of one rig", Path, "RECORDING", nargs="+"),
         _output("parameter file to write"),
         _option(
             "--robot",
@@ -259,15 +294,24 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
             "NAME",
         ),
         JSON,
-        _option("--rigid", "of something rigid", Path, "RECORDING", action="append", default=[]),
+        _option(
+            "--rigid",
+            "a recording of rigid presses",
+            Path,
+            "RECORDING",
+            action="append",
+            default=[],
+        ),
         Group("the indenter, which no recording shows", _INDENTER),
         SELECTION,
     ),
     "parameters": (),
     "monitor": (_IDENTIFIER, _DURATION),
     "live": (
-        _option("--parameters", "of the nodes (config/tissue_simulator.yaml)", Path, "FILE"),
-        _option("--fixed", "fixed gains", bool),
+        _option(
+            "--parameters", "parameter file (default: config/tissue_simulator.yaml)", Path, "FILE"
+        ),
+        _option("--fixed", "control with fixed gains", bool),
         _DURATION,
     ),
 }

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 _NOTHING_IDENTIFIED = 3
 
 DESCRIPTION = """\
-Run the identification on a recording, without DDS: the same pipeline as the live node, so the
-numbers are the same to the last bit. Prints a table, or with --json one object on standard output.
-With -o it writes a bag of everything that the node would have published.
+Identify the tissue of a recording, without DDS. The pipeline is that of the live node, so the
+numbers are the same to the last bit. The command prints a table, or one object with --json. With
+-o it also writes a bag with everything that the node would have published.
 """
 
 EPILOG = """\
@@ -40,7 +40,7 @@ examples:
       then: ros2 bag play -i palpation.mcap mcap -i results
   fden replay press.csv --config probe.yaml --columns '1,3,2*1e-3'
 
-The configuration is the identifier node's own parameter file.
+The node identifier reads the same parameter file.
 """
 
 #: What its exit codes say next to those of all commands.

@@ -15,19 +15,19 @@ from fden_ros.commands.inputs import (
 )
 
 DESCRIPTION = """\
-Replay a recording and write a page on it: the stiffness first, then a table and a comparison of
-the contacts, with a map where there are positions. Each contact has force and depth, the fitted
+Replay a recording and write a page about it: the stiffness first, then a table and a comparison
+of the contacts, with a map if there are positions. Each contact has force and depth, the fitted
 law with its band, the estimates as they converge, and the classification. The page says what
-the data cannot show. It is one file without network access, for light and dark screens and
-for print.
+the data cannot show. It is one file that loads nothing from a network, for light and dark
+screens and for print.
 """
 
 EPILOG = """\
 examples:
   fden report palpation.mcap --config probe.yaml -o report.html
-  fden report palpation.mcap --config probe.yaml        print only its first sentence
+  fden report palpation.mcap --config probe.yaml        print only its first sentences
 
-A table with one row per contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
+For a table with one row per contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
 """
 
 

@@ -94,13 +94,13 @@ def delay_finding(
         f"{1e3 * one.value:.1f} ± {1e3 * one.sd:.1g} ms from {one.name} is too uncertain"
         for one in sources
     ]
-    return unknown("delay", "; ".join(words) or "nothing in it happens at once")
+    return unknown("delay", "; ".join(words) or "the recording has no sudden motion")
 
 
 def _stated(name: str, value: float, sd: float, least: float = _CLEAR) -> Finding:
     """Return a delay; the default of 0 stays within this number of deviations."""
     if abs(value) < least * sd:
-        return Finding("delay", value, sd, f"from {name}; within it the default of 0 stays")
+        return Finding("delay", value, sd, f"from {name}; the default of 0 is within it")
     values: dict[str, Value] = {
         "displacement.delay": round(value, 6),
         "displacement.delay_sd": round(min(max(sd, _FILE_SD), _MOST_FILE_SD), 6),

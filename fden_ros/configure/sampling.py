@@ -85,7 +85,7 @@ def rate_finding(stream: str, sessions: Sequence[Session]) -> Finding:
     usual = max(float(np.median(steps)), float(steps.mean()))
     is_gap = (steps > _GAP_STEPS * usual) & (steps > _GAP)
     mean, jitter = float(steps[~is_gap].mean()), float(steps[~is_gap].std())
-    evidence = f"jitter {1e3 * jitter:.2g} ms"
+    evidence = f"jitter {1e3 * jitter:.2g} ms" if jitter > 1e-9 else "no jitter"
     if is_gap.any():
         evidence += f", {is_gap.sum()} gaps, the longest {steps[is_gap].max():.2g} s"
     if 1.0 / mean < _SLOW:
@@ -206,7 +206,7 @@ def bias_findings(
         found = linear(np.ones((int(first.sum()), 1)), force[first])
         evidence = (
             f"mean force along the axis from {times[0]:.2f} to {times[first][-1]:.2f} s, less the "
-            "tool's weight; measured anew before each contact"
+            "tool's weight; measured again before each contact"
         )
         sd = math.hypot(float(found.sds[0]), load_sd)
         return Finding("force bias", float(found.values[0]), sd, evidence), drift

@@ -119,7 +119,7 @@ def _head(survey: Survey, readings: Sequence[Reading], notes: Sequence[str]) -> 
         lines.append(f"{LIVE_LINE}{remaps}")
     if chosen := first.selection.options():
         lines.append(f"{SELECTION_LINE}{shlex.join(chosen)}")
-    lines.append("# ± is one standard deviation. What stays at its default is left out.")
+    lines.append("# ± is one standard deviation. Parameters at their defaults are left out.")
     for problem in replay_problems(survey):
         lines += _comment(f"{ATTENTION_LINE.removeprefix('# ')}{problem}")
     for note in notes:

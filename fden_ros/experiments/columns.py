@@ -51,7 +51,7 @@ class Table:
                 f"[{_COLUMNS[name][0]}]; found: {found}"
             )
         values = self.columns[name]
-        self._require(np.isfinite(values), f"{name} is no finite number", "correct the row")
+        self._require(np.isfinite(values), f"{name} is not a finite number", "correct the row")
         if "strain" in name and float(np.abs(values).max(initial=0.0)) > _MOST_STRAIN:
             raise InputError(
                 f"{self.path}: {name} goes up to {np.abs(values).max():g}; it must be a ratio, "

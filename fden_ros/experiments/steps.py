@@ -120,7 +120,7 @@ def fit_step(test: Step) -> Fit:
         parameters["g"] = solution.positive(digamma(order), 1.0, log_value=float(log_g))
     else:
         warnings.append(
-            f"alpha is {alpha:.3f}, outside (0, 1): this is no springpot's {test.kind}"
+            f"alpha is {alpha:.3f}, outside (0, 1): this is not a springpot's {test.kind}"
         )
     logs = np.log(test.answer)
     fitted = r_squared(logs, logs - solution.residuals)

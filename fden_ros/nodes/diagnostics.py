@@ -152,7 +152,7 @@ class _Report:
         always = clock_problem(node)
         self._say_once([*([] if pipeline.pair_count else first), *always])
         if pipeline.pair_count and self._said and not self._has_paired:
-            node.get_logger().info("force and displacement come now")
+            node.get_logger().info("force and displacement arrive now")
         self._has_paired = pipeline.pair_count > 0
         return [*first, *always]
 

@@ -208,7 +208,7 @@ def _ros_options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
 def _check_override(text: str) -> None:
     name, separator, value = text.partition(":=")
     if not name or not separator:
-        raise InputError(f"-p {text} is no parameter: expected -p NAME:=VALUE")
+        raise InputError(f"-p {text} is not a parameter: expected -p NAME:=VALUE")
     try:
         check_types(name, parse_yaml(value))
     except (yaml.YAMLError, ValueError) as error:

@@ -265,7 +265,7 @@ def _groups(path: Path) -> Iterator[tuple[str, list[Row]]]:
             for (bag, _), rows in groupby(reader, key=itemgetter("bag", "configuration")):
                 yield bag, list(rows)
     except (OSError, UnicodeDecodeError, csv.Error):
-        raise InputError(f"{path} is no table of results: choose another place") from None
+        raise InputError(f"{path} is not a table of results: choose another place") from None
 
 
 def _is_whole(rows: Sequence[Row]) -> bool:

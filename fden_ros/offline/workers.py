@@ -60,7 +60,7 @@ def cluster(scheduler: str, say: Callable[[str], object]) -> Iterator[Executor]:
         from distributed import Client
     is_file = os.path.isfile(scheduler)
     if not is_file and "://" not in scheduler:
-        raise InputError(f"{scheduler} is no scheduler: give tcp://HOST:8786, or its file")
+        raise InputError(f"{scheduler} is not a scheduler: give tcp://HOST:8786, or its file")
     try:
         client = Client(**{"scheduler_file" if is_file else "address": scheduler})
     except (OSError, ValueError, KeyError) as error:

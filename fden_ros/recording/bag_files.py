@@ -169,7 +169,7 @@ def scan_mcap(path: Path) -> BagFile:
 def cut_short(path: Path) -> InputError:
     """Return the problem of a file that holds too little."""
     size = path.stat().st_size
-    return InputError(f"{path} is cut off before its first topic, at {size} bytes: copy it anew")
+    return InputError(f"{path} is cut off before its first topic, at {size} bytes: copy it again")
 
 
 def _records(path: Path) -> Iterator[Any]:
@@ -233,7 +233,7 @@ def read_rosbag(path: Path, *, is_ros1: bool = False) -> BagFile:
                 f"{path} was not closed, so it has no index (interrupted recording?): write the "
                 f"index where ROS 1 is installed, with: rosbag reindex {shlex.quote(str(path))}"
             ) from None
-        raise InputError(f"{path} is damaged ({reason}): copy it anew") from None
+        raise InputError(f"{path} is damaged ({reason}): copy it again") from None
     for one in connections:
         offered: tuple[Qos, ...] = (LATCHED,) if is_ros1 and one.ext.latching else ()
         if not is_ros1:

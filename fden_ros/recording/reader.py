@@ -124,7 +124,7 @@ class BagReader:
             if same.type_name != topic.type_name:
                 raise InputError(
                     f"{self.path}: topic {topic.name} has two types, {same.type_name} and "
-                    f"{topic.type_name}: record it anew"
+                    f"{topic.type_name}: record it again"
                 )
             count = same.message_count + topic.message_count
             found[topic.name] = replace(same, message_count=count)
@@ -205,7 +205,7 @@ def _read(path: Path) -> BagFile:
         return read_mcap(path) or scan_mcap(path)
     if any(magic.startswith(head) for magic in (MAGIC, _SQLITE3, _ROS1)):
         raise cut_short(path)
-    raise InputError(f"{path} is no bag: {reason_of(head) or _EXPECTED}")
+    raise InputError(f"{path} is not a bag: {reason_of(head) or _EXPECTED}")
 
 
 def decode(message: RawMessage) -> Any:
@@ -215,7 +215,7 @@ def decode(message: RawMessage) -> Any:
         return decoded(message.data)
     except Exception as error:
         raise InputError(
-            f"a message on {message.topic} is no valid {message.type_name}: the bag is damaged "
+            f"a message on {message.topic} is not a valid {message.type_name}: the bag is damaged "
             "or was made with another version of the type"
         ) from error
 
@@ -235,7 +235,7 @@ def read_truth(bag: BagReader) -> dict[str, Any] | None:
             truth: dict[str, Any] = dict(json.loads(decode(message).data))
         except (ValueError, TypeError) as error:
             raise InputError(
-                f"{TRUTH_TOPIC} holds no JSON object ({error}): make it anew"
+                f"{TRUTH_TOPIC} holds no JSON object ({error}): make it again"
             ) from None
         return truth
     return None

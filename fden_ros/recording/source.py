@@ -89,7 +89,7 @@ def open_source(
         return _open_table(place(path), parameters, chosen)
     if chosen.from_touch or chosen.where is not None:
         option = "--from-touch" if chosen.from_touch else "--rows"
-        raise InputError(f"{path} is no table: {option} is for tables")
+        raise InputError(f"{path} is not a table: {option} is for tables")
     return BagSource(path, parameters, chosen)
 
 

@@ -145,7 +145,7 @@ def _without_numbers(layout: Layout) -> str:
         cells = [cell for cell in layout.cells(index) if not is_number(cell)]
         is_named = any(heading.names(quantity) for quantity in _QUANTITIES)
         if cells and is_named and not layout.is_clock(index) and not layout.holds_numbers(index):
-            return f"; {heading.text} holds {cells[0]!r}, which is no number"
+            return f"; {heading.text} holds {cells[0]!r}, which is not a number"
     return ""
 
 
@@ -326,7 +326,7 @@ def _rate_of(time: Column) -> float | None:
     except ValueError:
         rate = 0.0
     if not 0.0 < rate < math.inf:
-        raise InputError(f"{time.name} is no rate: expected @ and rows per second, @500")
+        raise InputError(f"{time.name} is not a rate: expected @ and rows per second, @500")
     return rate
 
 

@@ -409,7 +409,7 @@ def _decoded(path: Path, data: bytes) -> str:
     # The rest belongs to a recording that ended early.
     data = data.rstrip(b"\0")
     if b"\0" in data:
-        raise _unreadable(path, "it is no text of comma-separated values")
+        raise _unreadable(path, "it is not a text of comma-separated values")
     try:
         return codecs.getincrementaldecoder("utf-8-sig")().decode(data)
     except UnicodeDecodeError:
@@ -426,7 +426,7 @@ def _bytes(path: Path, most: int = -1) -> bytes:
             f"{path} does not exist: give a table of comma-separated values"
         ) from None
     except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or "it is no complete gzip file"
+        reason = getattr(error, "strerror", None) or "it is not a complete gzip file"
         raise _unreadable(path, reason) from None
 
 

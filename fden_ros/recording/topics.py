@@ -82,7 +82,8 @@ def topic_with_messages(reader: BagReader, name: str) -> Topic:
     topic = reader.topic(name)
     if not topic.message_count:
         raise InputError(
-            f"{reader.path}: topic {topic.name} has no messages: choose another, or record it anew"
+            f"{reader.path}: topic {topic.name} has no messages: choose another one, or record "
+            "it again"
         )
     return topic
 

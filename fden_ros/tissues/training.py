@@ -79,9 +79,9 @@ def read_contacts(path: str | Path) -> Contacts:
         covariances = [_covariance(row) for row in used]
         is_learned = all(row["alpha_source"] == "learned" for row in used)
     except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError):
-        raise InputError(f"{path} is no table of fden batch (CSV)") from None
+        raise InputError(f"{path} is not a table of fden batch (CSV)") from None
     if of_other:
-        raise InputError(f"{path} has rows of several configurations: run fden batch anew")
+        raise InputError(f"{path} has rows of several configurations: run fden batch again")
     if not used:
         raise InputError(
             f"{path}: none of its {len(rows)} contacts has converged; fden replay says what they "
