@@ -18,10 +18,8 @@ from fden_ros.core.classification import (
     DecisionConfig,
     Tissue,
     TissueLibrary,
-    likelihood_of,
-    log_evidence,
 )
-from fden_ros.core.classification.classifier import classify
+from fden_ros.core.classification.classifier import classify, likelihood_of, log_evidence
 from fden_ros.core.classification.labelling import Decider
 from fden_ros.core.classification.relative import (
     LEAST_SURROUNDINGS,
@@ -36,13 +34,15 @@ from fden_ros.tissues.library import load_library
 
 LIBRARY = load_library()
 LIVER = LIBRARY.tissues[0]
+#: With it a posterior is what the data say.
+FLAT = Prior(1.0, 1e5, 1.0, 1e5, 0.0, 1e5)
 PRIOR = Prior(600.0, 0.8, 9.0, 0.5, 0.2, 0.05)
 PRIOR_MEAN = np.array([math.log(600.0), math.log(9.0), 0.2])
 PRIOR_COVARIANCE = np.diag(np.square([0.8, 0.5, 0.05]))
 
 
-def seen(mean, sd=(0.01, 0.01, 0.01), **options):
-    return likelihood_of(np.asarray(mean, dtype=float), np.diag(np.square(sd)), **options)
+def seen(mean, sd=(0.01, 0.01, 0.01)):
+    return likelihood_of(np.asarray(mean, dtype=float), np.diag(np.square(sd)), FLAT)
 
 
 def liver_moved(*by):
@@ -76,7 +76,7 @@ def test_evidence_is_the_density_of_the_estimate_under_spread_and_error():
         ]
         library = TissueLibrary("l", tuple(tissues[:2]), tissues[2])
         mean, error = rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.1, 0.3, 0.01))
-        found, _ = log_evidence(library, likelihood_of(mean, error))
+        found, _ = log_evidence(library, likelihood_of(mean, error, FLAT))
         expected = [
             multivariate_normal.logpdf(mean, t.mean, t.covariance + error) for t in tissues
         ]

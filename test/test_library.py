@@ -14,7 +14,9 @@ import yaml
 from pipeline_helpers import refusal
 
 from fden_ros.cli import main
-from fden_ros.core.classification import UNKNOWN, likelihood_of, log_evidence, posterior
+from fden_ros.core.classification import UNKNOWN
+from fden_ros.core.classification.classifier import likelihood_of, log_evidence, posterior
+from fden_ros.core.estimation import Prior
 from fden_ros.errors import InputError
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.tissues.library import load_library, parse_library
@@ -121,6 +123,7 @@ def test_library_of_other_units_is_refused(tmp_path, units, area):
 MEAN = np.array([6.3, 2.1, 0.13])
 SPREAD = np.diag(np.square([0.28, 0.18, 0.017]))
 SHIFT = np.array([1.2, 0.1, 0.08])
+FLAT = Prior(1.0, 1e5, 1.0, 1e5, 0.0, 1e5)
 
 
 def drawn(rng, index=0, count=20, error=(0.05, 0.05, 0.005)):
@@ -146,12 +149,11 @@ def test_library_from_few_contacts_is_calibrated():
     for _ in range(200):
         library = library_of({name: drawn(rng, i, 5) for i, name in enumerate("ab")})
         for truth in range(2):
-            fresh = drawn(rng, truth, 10)
-            evidence = log_evidence(library, likelihood_of(*fresh[:2]))[0]
-            known = posterior(library, evidence)[:, :-1]
-            known /= known.sum(axis=1, keepdims=True)
-            said.append(known.max(axis=1))
-            right.append(known.argmax(axis=1) == truth)
+            for contact in zip(*drawn(rng, truth, 10)[:2], strict=True):
+                evidence = log_evidence(library, likelihood_of(*contact, FLAT))[0]
+                known = posterior(library, evidence)[:-1]
+                said.append(known.max() / known.sum())
+                right.append(known.argmax() == truth)
     assert abs(np.mean(said) - np.mean(right)) < 0.02
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from fden_ros.core.classification import (
     DecisionConfig,
     Labeller,
-    RelativeConfig,
     Surroundings,
     TissueLibrary,
 )
@@ -88,7 +87,6 @@ class PipelineConfig:
         choices=("library", "relative"),
     )
     decision: DecisionConfig = field(default_factory=DecisionConfig)
-    relative: RelativeConfig = field(default_factory=RelativeConfig)
 
     @property
     def contact_point(self) -> float | None:
@@ -119,5 +117,5 @@ def labeller_of(config: PipelineConfig) -> Labeller:
     """Return how contacts are labelled."""
     surroundings = None
     if config.classification == "relative":
-        surroundings = Surroundings(config.relative, config.apparent_stiffness_time_scale)
+        surroundings = Surroundings(config.apparent_stiffness_time_scale)
     return Labeller(config.library, config.estimator, config.decision, surroundings)

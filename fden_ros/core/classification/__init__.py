@@ -8,9 +8,6 @@ from fden_ros.core.classification.classifier import (
     ClassProbabilities,
     Tissue,
     TissueLibrary,
-    likelihood_of,
-    log_evidence,
-    posterior,
 )
 from fden_ros.core.classification.labelling import (
     Answer,
@@ -20,7 +17,7 @@ from fden_ros.core.classification.labelling import (
     Labeller,
     Labelling,
 )
-from fden_ros.core.classification.relative import Comparison, RelativeConfig, Surroundings
+from fden_ros.core.classification.relative import Comparison, Surroundings
 
 __all__ = [
     "UNKNOWN",
@@ -32,11 +29,7 @@ __all__ = [
     "DecisionConfig",
     "Labeller",
     "Labelling",
-    "RelativeConfig",
     "Surroundings",
     "Tissue",
     "TissueLibrary",
-    "likelihood_of",
-    "log_evidence",
-    "posterior",
 ]

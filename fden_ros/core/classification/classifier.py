@@ -108,42 +108,31 @@ class ClassProbabilities(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """Log likelihood of (ln G, ln Gn, alpha) to second order; leading axes are many of them."""
+    """Log likelihood of (ln G, ln Gn, alpha) to second order."""
 
-    centre: Array  #: shape (..., 3)
-    score: Array  #: slope of the logarithm there, shape (..., 3)
-    information: Array  #: less its curvature, positive semidefinite, shape (..., 3, 3)
+    centre: Array  #: shape (3,)
+    score: Array  #: slope of the logarithm there, shape (3,)
+    information: Array  #: less its curvature, positive semidefinite, shape (3, 3)
 
 
 def likelihood_of(
-    mean: Array, covariance: Array, prior: Prior | None = None, *, order_counts: bool = True
+    mean: Array, covariance: Array, prior: Prior, *, order_counts: bool = True
 ) -> Likelihood:
-    """Return what the data say, from posteriors (..., 3) with covariances (..., 3, 3).
+    """Return what the data say, from a posterior (3,), (3, 3) and the prior of the estimator.
 
-    `prior` is that of the estimator; without it the posteriors are taken for measurements.
     `order_counts`: alpha was not given, so that it is evidence.
     """
-    used = 3 if order_counts and (prior is None or prior.fractional_order_sd > 0.0) else 2
-    own = np.sqrt(np.einsum("...ii->...i", covariance)) if prior is None else prior.deviations
-    # An alpha that was known exactly has no scale of its own.
-    scale = np.broadcast_to(np.where(own > 0.0, own, 1.0), mean.shape)[..., :used]
-    scaled = covariance[..., :used, :used] / (scale[..., :, None] * scale[..., None, :])
-    variances, axes = np.linalg.eigh(scaled)
-    # Smaller ones, in units of the prior's, are rounding, and may be negative.
-    variances = np.maximum(variances, np.finfo(float).eps)
-    if prior is None:
-        known, slope = 1.0 / variances, np.zeros_like(variances)
-    else:
-        known = np.maximum(1.0 / variances - 1.0, 0.0)
-        off = (mean - prior.mean)[..., :used] / scale
-        # A covariance that was widened for a mismatch may exceed the prior's: no information.
-        slope = np.where(known > 0.0, _times(np.swapaxes(axes, -1, -2), off), 0.0)
-    information = np.zeros((*mean.shape, 3))
-    information[..., :used, :used] = np.einsum("...ij,...j,...kj->...ik", axes, known, axes) / (
-        scale[..., :, None] * scale[..., None, :]
-    )
-    score = np.zeros(mean.shape)
-    score[..., :used] = _times(axes, slope) / scale
+    used = 3 if order_counts else 2
+    scale = prior.deviations[:used]
+    scales = np.outer(scale, scale)
+    variances, axes = np.linalg.eigh(covariance[:used, :used] / scales)
+    # Smaller ones, in units of the prior's, are rounding, and may be negative. A covariance that
+    # was widened for a mismatch may exceed the prior's: no information.
+    known = np.maximum(1.0 / np.maximum(variances, np.finfo(float).eps) - 1.0, 0.0)
+    slope = np.where(known > 0.0, _times(axes.T, (mean - prior.mean)[:used] / scale), 0.0)
+    score, information = np.zeros(3), np.zeros((3, 3))
+    score[:used] = _times(axes, slope) / scale
+    information[:used, :used] = np.einsum("ij,j,kj->ik", axes, known, axes) / scales
     return Likelihood(mean, score, information)
 
 
@@ -155,67 +144,56 @@ def classify(
     The label is ``unknown`` where the p-value is below the `significance`.
     """
     evidence, fits = log_evidence(library, likelihood)
-    probabilities = posterior(library, evidence)
-    names = library.class_names
+    probabilities, names, p_value = posterior(library, evidence), library.class_names, fits.max()
     best = int(np.argmax(probabilities))
-    p_value = float(np.max(fits))
+    label = names[best] if p_value >= significance else UNKNOWN
+    is_observable = _is_observable(library, likelihood, evidence, best)
     return ClassProbabilities(
-        names[best] if p_value >= significance else UNKNOWN,
-        names,
-        tuple(float(p) for p in probabilities),
-        p_value,
-        _is_observable(library, likelihood, evidence, best),
+        label, names, tuple(probabilities.tolist()), float(p_value), is_observable
     )
 
 
 def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array, Array]:
-    """Return the log evidence of every class (..., k + 1) and how well each tissue fits (..., k).
+    """Return the log evidence of every class (k + 1,) and how well each tissue fits (k,).
 
     The evidence is up to a constant that the classes share, ``unknown`` last; the fit is
-    P(as far out | tissue). The `likelihood` has leading axes (...).
+    P(as far out | tissue).
     """
-    pairs = [_of_class(one, likelihood) for one in library.classes]
-    evidence = np.stack([pair[0] for pair in pairs], axis=-1)
-    return evidence, np.stack([pair[1] for pair in pairs[:-1]], axis=-1)
+    evidence, fits = np.array([_of_class(one, likelihood) for one in library.classes]).T
+    return evidence, fits[:-1]
 
 
 def posterior(library: TissueLibrary, evidence: Array) -> Array:
-    """Return the probabilities of all classes from their log evidence, shape (..., k + 1)."""
+    """Return the probabilities of all classes from their log evidence, shape (k + 1,)."""
     logs = evidence + np.log([one.prior for one in library.classes])
-    result: Array = np.exp(logs - logs.max(axis=-1, keepdims=True))
-    result /= result.sum(axis=-1, keepdims=True)
-    return result
+    result: Array = np.exp(logs - logs.max())
+    return result / result.sum()
 
 
-def _of_class(tissue: Tissue, likelihood: Likelihood) -> tuple[Array, Array]:
+def _of_class(tissue: Tissue, likelihood: Likelihood) -> tuple[float, float]:
     factor = np.linalg.cholesky(tissue.covariance)
     off = tissue.mean - likelihood.centre
     pulled = _times(likelihood.information, off)
     known, axes = np.linalg.eigh(factor.T @ likelihood.information @ factor)
     known = np.maximum(known, 0.0)
-    slope = _times(np.swapaxes(axes, -1, -2), (likelihood.score - pulled) @ factor)
+    slope = _times(axes.T, (likelihood.score - pulled) @ factor)
     nodes, weights = _mixture(tissue.degrees_of_freedom)
-    by_node = 0.5 * np.sum(
-        slope[..., None] ** 2 / (known[..., None] + nodes) - np.log1p(known[..., None] / nodes),
-        axis=-2,
-    )
-    largest = by_node.max(axis=-1, keepdims=True)
-    total = np.log(np.exp(by_node - largest) @ weights) + largest[..., 0]
-    evidence = np.sum(off * (likelihood.score - 0.5 * pulled), axis=-1) + total
-    return evidence, _p_value(known, slope, nodes, weights)
-
-
-def _p_value(known: Array, slope: Array, nodes: Array, weights: Array) -> Array:
+    squares, logs = slope**2 / (known + nodes[:, None]), np.log1p(known / nodes[:, None])
+    by_node = 0.5 * np.sum(squares - logs, axis=1)
+    largest = by_node.max()
+    total = np.log(np.exp(by_node - largest) @ weights) + largest
+    evidence = np.sum(off * (likelihood.score - 0.5 * pulled)) + total
     used = known > _LEAST_INFORMATION
-    count = used.sum(axis=-1)
-    safe = np.where(used, known, 1.0)
-    squares = np.where(used, slope**2 / (safe * (safe + 1.0)), 0.0).sum(axis=-1)
+    return evidence, _p_value(known[used], slope[used], nodes, weights)
+
+
+def _p_value(known: Array, slope: Array, nodes: Array, weights: Array) -> float:
+    if not known.size:
+        return 1.0
+    square = np.sum(slope**2 / (known * (known + 1.0)))
     # The mean share of the class in the variance of a direction: it alone has the heavy tails.
-    share = np.where(used, safe / (safe + 1.0), 0.0).sum(axis=-1) / np.maximum(count, 1)
-    scale = 1.0 + share[..., None] * (1.0 / nodes - 1.0)
-    tails = chdtrc(np.maximum(count, 1)[..., None], squares[..., None] / scale)
-    result: Array = np.where(count > 0, tails @ weights, 1.0)
-    return result
+    scale = 1.0 + np.mean(known / (known + 1.0)) * (1.0 / nodes - 1.0)
+    return float(chdtrc(known.size, square / scale) @ weights)
 
 
 @functools.lru_cache(maxsize=256)
@@ -242,9 +220,8 @@ def _is_observable(
             continue
         spread = 0.5 * (own.covariance + other.covariance)
         direction = np.linalg.solve(spread, own.mean - other.mean)
-        before = direction @ spread @ direction
         left = np.linalg.solve(np.eye(3) + spread @ likelihood.information, spread)
-        if before > 0.0 and direction @ left @ direction > _OBSERVABLE_SHARE * before:
+        if direction @ left @ direction > _OBSERVABLE_SHARE * (direction @ spread @ direction):
             return False
     return True
 

@@ -58,9 +58,7 @@ class Decider:
     def update(self, stamp_ns: int, classes: ClassProbabilities, *, last: bool = False) -> str:
         """Add probabilities, or the `last`; return the label, empty while there is none."""
         candidate = self._answer(classes)
-        if candidate == self.label:
-            self._candidate = candidate
-        elif candidate != self._candidate or not self.label:
+        if candidate != self._candidate:
             self._candidate, self._since_ns = candidate, stamp_ns
         has_stood = stamp_ns - self._since_ns >= self._config.min_duration * NANOSECONDS
         if not self.label or last or has_stood:
@@ -75,12 +73,10 @@ class Decider:
         factor = _KNOWN_AGAIN if self.label == UNKNOWN else 1.0
         if classes.p_value < factor * config.significance:
             return UNKNOWN
-        best = max(own, key=lambda name: own[name])
+        best = max(own, key=own.__getitem__)
         if own[best] >= config.probability:
             return best
-        if self.label and own.get(self.label, 0.0) >= config.exit_probability:
-            return self.label
-        return ""
+        return self.label if own.get(self.label, 0.0) >= config.exit_probability else ""
 
 
 #: While converged, every tenth block is classified.
@@ -110,10 +106,16 @@ class Decided:
 class Answer:
     """The answer for the tissue under the probe."""
 
-    decision: Decision = Decision.NONE
     classes: ClassProbabilities | None = None
     decided: Decided | None = None
     comparison: Comparison | None = None
+
+    @property
+    def decision(self) -> Decision:
+        """What the label says."""
+        label = self.classes.label if self.classes is not None else ""
+        named = Decision.UNKNOWN if label == UNKNOWN else Decision.CLASS
+        return named if label else Decision.UNDETERMINED
 
 
 @dataclass(frozen=True)
@@ -140,11 +142,13 @@ class Labeller:
         self, site_id: int, estimate: Estimate
     ) -> tuple[ClassProbabilities | None, Comparison | None]:
         """Return the probabilities of the classes and the comparison, each None without."""
-        learns, prior = self.estimator.learns_fractional_order, self.estimator.prior
-        posterior = estimate.mean, estimate.covariance
-        likelihood = likelihood_of(*posterior, prior, order_counts=learns)
+        prior, is_given = self.estimator.prior, self.estimator.is_order_given
+        likelihood = likelihood_of(
+            estimate.mean, estimate.covariance, prior, order_counts=not is_given
+        )
         if self.surroundings is not None:
-            return self.surroundings.classes(site_id, estimate, likelihood)
+            found = self.surroundings.compared(site_id, estimate, likelihood)
+            return found.classes if found is not None else None, found
         if self.library is not None:
             return classify(self.library, likelihood, self.decision.significance), None
         return None, None
@@ -156,7 +160,7 @@ class Labelling:
     def __init__(self, labeller: Labeller, site_id: int, start_ns: int) -> None:
         self._labeller = labeller
         self._site_id, self._start_ns = site_id, start_ns
-        self._is_mismatch = False  # in the newest answer
+        self._is_first, self._is_mismatch = True, False  # of the newest answer
         self._decider = Decider(labeller.decision)
         self._answer = Answer()
 
@@ -174,22 +178,19 @@ class Labelling:
 
         `has_changed`: the tissue under the probe; `is_mismatch`: the model does not describe it.
         """
-        before = self._answer.classes
-        if has_changed and before is not None:
+        if has_changed and self._answer.classes is not None:
             # The named tissue is no longer under the probe.
             self._decider = Decider(self._labeller.decision)
-            self._answer, before = replace(self._answer, decided=None), None
+            self._answer = replace(self._answer, decided=None)
             yield self._give(None, is_mismatch)
         elif is_mismatch != self._is_mismatch:
             # The label stands, but no longer without a reservation.
-            yield self._give(before, is_mismatch)
-        classes = None
-        if estimate is not None and estimate.converged:
-            if block % _CLASSIFY_EVERY and before is not None:
-                return
+            yield self._give(self._answer.classes, is_mismatch)
+        before, classes = self._answer.classes, None
+        is_due = before is None or block % _CLASSIFY_EVERY == 0
+        if is_due and estimate is not None and estimate.converged:
             classes = self._classes(stamp_ns, estimate, max_strain)
-        is_first = self._answer.decision is Decision.NONE
-        if _differ(before, classes) if classes is not None else is_first:
+        if _differ(before, classes) if classes is not None else self._is_first:
             yield self._give(classes, is_mismatch)
 
     def finish(self, stamp_ns: int, estimate: Estimate | None, max_strain: float) -> Answer:
@@ -200,11 +201,8 @@ class Labelling:
         return Answer() if classes is None else replace(self._answer, classes=classes)
 
     def _give(self, classes: ClassProbabilities | None, is_mismatch: bool) -> Answer:
-        decision = Decision.UNDETERMINED
-        if classes is not None and classes.label:
-            decision = Decision.UNKNOWN if classes.label == UNKNOWN else Decision.CLASS
-        self._is_mismatch = is_mismatch
-        self._answer = replace(self._answer, decision=decision, classes=classes)
+        self._is_first, self._is_mismatch = False, is_mismatch
+        self._answer = replace(self._answer, classes=classes)
         return self._answer
 
     def _classes(

@@ -19,21 +19,13 @@ from fden_ros.core.classification.classifier import ClassProbabilities, Likeliho
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import LogStiffness, log_stiffness
 
-ANSWERS = ("softer", "alike", "stiffer")
-#: Fewer places are no surroundings. Strain of the comparison [1].
-LEAST_SURROUNDINGS, _STRAIN = 4, 0.1
+#: Fewer places are no surroundings. Strain of the comparison [1]. A place is stiffer, or softer,
+#: by this ratio [1].
+LEAST_SURROUNDINGS, _STRAIN, _RATIO = 4, 0.1, 1.5
 #: Share of the surroundings that is something else: initial and least, and most; its spread in l.
 _FOREIGN_RANGE, _FOREIGN_SD = (0.02, 0.4), 0.8
 #: Least natural spread, and iterations of the fixed point.
 _LEAST_SD, _ITERATIONS = 0.02, 30
-
-
-@dataclass(frozen=True)
-class RelativeConfig:
-    """Limit of the comparison."""
-
-    #: relative: stiffer, or softer, by this [1].
-    ratio: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -55,17 +47,19 @@ class Comparison:
         low, high = np.exp(np.clip([self.log_ratio - reach, self.log_ratio + reach], -100, 100))
         return float(low), float(high)
 
-    def classes(self, ratio: float) -> ClassProbabilities:
-        """Return the probabilities of being softer, alike and stiffer by `ratio`."""
-        limits = (np.log([1.0 / ratio, ratio]) - self.log_ratio) / self.log_ratio_sd
+    @property
+    def classes(self) -> ClassProbabilities:
+        """The probabilities of being softer, alike and stiffer."""
+        limits = (np.log([1.0 / _RATIO, _RATIO]) - self.log_ratio) / self.log_ratio_sd
         below, above = stdtr(self.degrees_of_freedom, limits)
         probabilities = (float(below), float(above - below), float(1.0 - above))
-        return ClassProbabilities(ANSWERS[int(np.argmax(probabilities))], ANSWERS, probabilities)
+        names = ("softer", "alike", "stiffer")
+        return ClassProbabilities(names[int(np.argmax(probabilities))], names, probabilities)
 
 
 def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
     """Return how a place compares with those around it, shape (k,); None: too few."""
-    values, variances = np.atleast_1d(*around)
+    values, variances = around
     if values.size < LEAST_SURROUNDINGS:
         return None
     mean, foreign = float(np.median(values)), _FOREIGN_RANGE[0]
@@ -90,13 +84,12 @@ def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
 class Surroundings:
     """The stiffness of each site touched so far; `time_scale` is tau of the stiffness [s]."""
 
-    def __init__(self, config: RelativeConfig, time_scale: float) -> None:
-        self._config, self._time_scale = config, time_scale
-        self._sites: dict[int, LogStiffness] = {}
+    def __init__(self, time_scale: float) -> None:
+        self._time_scale, self._sites = time_scale, dict[int, LogStiffness]()
 
-    def classes(
+    def compared(
         self, site_id: int, estimate: Estimate, likelihood: Likelihood
-    ) -> tuple[ClassProbabilities | None, Comparison | None]:
+    ) -> Comparison | None:
         """Compare a site with the others, and keep it; None: there are too few of them."""
         mean, covariance = estimate.mean, estimate.covariance
         # With the prior, for a direction that is not observed.
@@ -104,11 +97,9 @@ class Surroundings:
             covariance = np.linalg.inv(likelihood.information).astype(np.float64)
             mean = likelihood.centre + covariance @ likelihood.score
         place = log_stiffness(mean, covariance, _STRAIN, self._time_scale)
-        others = [other for other_id, other in self._sites.items() if other_id != site_id]
+        others = [(o.value, o.variance) for k, o in self._sites.items() if k != site_id]
         self._sites[site_id] = place
-        numbers = np.array([(float(o.value), float(o.variance)) for o in others]).reshape(-1, 2)
-        found = compare(place, LogStiffness(*numbers.T))
-        return (found.classes(self._config.ratio) if found is not None else None), found
+        return compare(place, LogStiffness(*np.reshape(others, (-1, 2)).T))
 
     def forget(self, site_id: int | None = None) -> None:
         """Forget a site; None: all."""
