@@ -262,7 +262,7 @@ def test_slope_and_phase_are_told_apart_with_deviations():
         strain = 0.1 + 0.01 * np.cos(np.outer(times, omegas)).sum(axis=1)
         waves = 300.0 * omegas**slope * np.cos(np.outer(times, omegas) + phase)
         stress = 40.0 + 0.01 * waves.sum(axis=1) + 0.3 * generator.standard_normal(times.size)
-        found = moduli(ComplexModulusMeter([1.0, 2.0, 4.0]), times, strain, stress)
+        found = moduli(ComplexModulusMeter([1.0, 2.0, 4.0], 4), times, strain, stress)
         assert len(found) == 3
         slopes.append((found[0].slope - slope) / found[0].slope_sd)
         phases += [

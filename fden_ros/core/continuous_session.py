@@ -22,7 +22,6 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.oscillation import (
     LEAST_AMPLITUDE,
     ComplexModulus,
-    Measured,
     Palpated,
     PalpationMeter,
     Stiffness,
@@ -192,7 +191,7 @@ class ContinuousSession:
         displacement = self._config.contact.compliance_free(pair, pair.force)
         measured = self._meter.add(time, displacement, pair.force)
         if measured is not None:
-            outputs += self._close_window(measured, pair.stamp_ns)
+            outputs += self._close_window(*measured, pair.stamp_ns)
         if self._meter.begins_window or not self._window.samples:
             self._window = Window(pair.stamp_ns)
         self._window.take(pair)
@@ -200,9 +199,10 @@ class ContinuousSession:
             outputs.append(self._state(pair.stamp_ns, time, displacement))
         return outputs
 
-    def _close_window(self, measured: Measured, stamp_ns: int) -> list[Output]:
-        found, window = measured.found, self._window
-        self._has_found = True
+    def _close_window(
+        self, modulus: ComplexModulus, found: Palpated | None, stamp_ns: int
+    ) -> list[Output]:
+        window, self._has_found = self._window, True
         outputs = self._follow(window, found, stamp_ns)
         self._out_of_step = self._out_of_step or self._meter.out_of_step
         if found is None:
@@ -210,7 +210,7 @@ class ContinuousSession:
             return outputs
         self._lags += bool(found.estimate.at_edge)
         if self._is_flat and found.apparent is not None:
-            outputs.append(self._modulus(window, measured.modulus, found.stiffness, stamp_ns))
+            outputs.append(self._modulus(window, modulus, found.stiffness, stamp_ns))
         return outputs
 
     # Places

@@ -31,7 +31,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import InformationFilter
@@ -105,8 +105,7 @@ class _Bank(InformationFilter):
 
     def __init__(self, size: int, information: tuple[float, float]) -> None:
         super().__init__(dim_x=2, dim_z=1)
-        self._g, self._gf = np.full(size, information[0]), np.zeros(size)
-        self._gb = np.zeros(size)
+        self._g, self._gb, self._gf = np.full(size, information[0]), np.zeros(size), np.zeros(size)
         self._b, self._bf, self._square = information[1], 0.0, 0.0
         self.count = 0
 
@@ -121,13 +120,13 @@ class _Bank(InformationFilter):
         self._square += z * z / R
         self.count += 1
 
-    def solve(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Return G, b, their variances, chi squared and the log likelihood of each node."""
+    def solve(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Return G, b, the variance of G, chi squared and the log likelihood of each node."""
         det = self._g * self._b - self._gb**2
         g = (self._b * self._gf - self._gb * self._bf) / det
         b = (self._g * self._bf - self._gb * self._gf) / det
         chi2 = self._square - g * self._gf - b * self._bf
-        return g, b, self._b / det, self._g / det, chi2, -0.5 * (chi2 + np.log(det))
+        return g, b, self._b / det, chi2, -0.5 * (chi2 + np.log(det))
 
     def misfit(self, g: float, b: float, node: int) -> float:
         """Return chi squared at a node for a given state."""
@@ -147,36 +146,17 @@ class _Grid:
         self.z = np.stack(np.meshgrid(*places, indexing="ij"), -1).reshape(-1, 3)
         self.centre, self.axes, self._geometry = centre, axes, geometry
         self.theta = centre + self.z @ axes.T
-        self._gn = np.exp(self.theta[:, 1])
-        self.slices = places[0].size
-        orders = self.theta[:: len(self.z) // self.slices, 0]
-        self.is_possible = (self.theta[:, 0] >= LOWEST_ORDER) & (self.theta[:, 0] <= HIGHEST_ORDER)
-        kernels = [relaxation_weights(a) for a in np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)]
-        self._kernels = np.array(kernels)
-        self._memory = np.zeros((len(self.z), RATE_COUNT))
-        self._p = np.zeros(len(self.z))
-        self.bank = _Bank(len(self.z), information)
+        self.gn = np.exp(self.theta[:, 1])
+        self.is_outer = ((np.abs(self.z) == _SIDE) & (np.ptp(self.z, axis=0) > 0.0)).any(axis=1)
+        by_order = self.theta[:, 0].reshape(places[0].size, -1)
+        orders = np.clip(by_order[:, 0], LOWEST_ORDER, HIGHEST_ORDER)
+        self._kernels = np.array([relaxation_weights(order) for order in orders])
+        self._memory = np.zeros((*by_order.shape, RATE_COUNT))
+        self._p = np.zeros(by_order.size)
+        self.bank = _Bank(by_order.size, information)
         #: The same of means over runs of blocks, where a smooth misfit shows below the noise.
-        self.runs = _Bank(len(self.z), (0.0, 0.0))
-        self._run: list[Any] = [0.0] * 3
-        width = np.abs(self.z).max(axis=0)
-        self.is_outer = ((np.abs(self.z) == width) & (width > 0.0)).any(axis=1)
-
-    def add(self, block: _Block) -> Array:
-        """Add a block to all nodes; return their responses."""
-        response = self.respond(block, self.responses(block.compressions))
-        self.bank.update(block.stress, block.noise, response)
-        new: tuple[Any, ...] = 1.0, block.stress, response
-        self._run = [one + own / block.noise for one, own in zip(self._run, new, strict=True)]
-        if self.bank.count % _RUN == 0:
-            weight, whole, own = self._run
-            self.runs.update(whole / weight, 1.0 / weight, own / weight)
-            self._run = [0.0] * 3
-        return response
-
-    def responses(self, compressions: Array) -> Array:
-        """Return p = phi / G at points, shape (..., nodes)."""
-        return phi(self.strains(compressions), 1.0, self._gn)
+        self.runs = _Bank(by_order.size, (0.0, 0.0))
+        self._run = np.zeros(2 + by_order.size)
 
     def strains(self, compressions: Array) -> Array:
         """Return the strains of points, shape (..., nodes)."""
@@ -187,26 +167,39 @@ class _Grid:
 
     def begin(self, compression: float) -> None:
         """Begin at rest there."""
-        self._p = self.responses(np.array(compression))
+        self._p = phi(self.strains(np.array(compression)), 1.0, self.gn)
 
-    def respond(self, block: _Block, p: Array) -> Array:
-        """Return the mean response r over a block, with p (c, nodes) at its points.
+    def add(self, block: _Block) -> Array:
+        """Add a block to all nodes; return their mean responses r."""
+        response = self._respond(block)
+        self.bank.update(block.stress, block.noise, response)
+        self._run += np.append([1.0, block.stress], response) / block.noise
+        if self.bank.count % _RUN == 0:
+            weight, whole, *_ = self._run
+            self.runs.update(whole / weight, 1.0 / weight, self._run[2:] / weight)
+            self._run[:] = 0.0
+        return response
+
+    def _respond(self, block: _Block) -> Array:
+        """Return the mean responses over a block.
 
         The past of a node is one number a rate, as the kernel is a sum of exponentials
         (:mod:`fden_ros.core.law.relaxation`).
         """
         passed, decay, gain = block.memory
-        rises = np.diff(p, axis=0, prepend=self._p[None])
-        kernels, count = self._kernels, self.slices
-        memory = self._memory.reshape(count, -1, RATE_COUNT)
-        found = memory @ (kernels[:, :RATE_COUNT] * (block.shares @ passed))[..., None]
-        by_rise = kernels[:, :RATE_COUNT] @ (np.tensordot(block.shares, decay, 1) * gain).T
-        by_rise += kernels[:, -1:] * (block.shares / block.steps)
-        by_slice = rises.reshape(len(rises), count, -1)
-        response = found[..., 0] + np.einsum("sc,csq->sq", by_rise, by_slice)
-        response += kernels[:, -2:-1] * (block.shares @ p).reshape(count, -1)
+        p = phi(self.strains(block.compressions), 1.0, self.gn)
+        rises, by_rate = np.diff(p, axis=0, prepend=self._p[None]), self._kernels[:, :RATE_COUNT]
+        slow, fast = self._kernels[:, RATE_COUNT:, None].swapaxes(0, 1)
+        count = len(by_rate)
+        found = self._memory @ (by_rate * (block.shares @ passed))[..., None]
+        by_rise = by_rate @ (np.tensordot(block.shares, decay, 1) * gain).T
+        by_rise += fast * (block.shares / block.steps)
+        response = found[..., 0] + np.einsum(
+            "sc,csq->sq", by_rise, rises.reshape(len(p), count, -1)
+        )
+        response += slow * (block.shares @ p).reshape(count, -1)
         self._memory *= passed[-1]
-        self._memory += rises.T @ (decay[-1] * gain)
+        self._memory += (rises.T @ (decay[-1] * gain)).reshape(self._memory.shape)
         self._p = p[-1]
         return response.ravel()
 
@@ -219,7 +212,6 @@ class _Weighed(NamedTuple):
     log_g: Array  #: mean of ln G
     log_g_variance: Array
     bias: Array  #: mean of b [Pa]
-    bias_variance: Array  #: [Pa^2]
     chi_squared: Array  #: of all blocks
 
 
@@ -229,63 +221,45 @@ class PaperFilter(Estimator):
     It claims nothing of a later contact, which meets tissue that still recovers.
     """
 
+    #: Whether law, rig or noise are not as the filter has them, by the newest grid.
+    is_mismatch = False
+
     def __init__(self, setting: Setting) -> None:
-        config, geometry, noise_sd, origin_sd, path_variance = setting
-        prior = config.prior
-        self._is_exact = replace(config.uncertainty, thickness_sd=0.0) == NOTHING_UNKNOWN
-        self._config, self._geometry = config, geometry
-        self._noise_variance, self._path_variance = noise_sd**2, path_variance
-        log_g, log_gn, order = prior.mean.tolist()
-        log_g_sd, log_gn_sd, order_sd = prior.deviations.tolist()
+        self._setting, prior = setting, setting.config.prior
+        self._is_exact = replace(setting.config.uncertainty, thickness_sd=0.0) == NOTHING_UNKNOWN
+        self._log_g, log_gn, order = prior.mean.tolist()
+        self._log_g_sd, log_gn_sd, order_sd = prior.deviations.tolist()
         self._mean = np.array([order, log_gn, 0.0])
-        self._sd = np.array([order_sd, log_gn_sd, origin_sd])
-        self._log_g, self._log_g_sd = log_g, log_g_sd
+        self._sd = np.array([order_sd, log_gn_sd, setting.contact_point_sd])
         self._wide = np.flatnonzero(self._sd > 0.0)
-        #: Of (G, b) before the touch: G is all but unknown, as its own prior counts later.
-        self._information = math.exp(-2.0 * (log_g + 3.0 * log_g_sd)), 1.0
-        self._contact_count = self._sample_count = 0
-        self._is_over, self._is_settled, self._is_refused = False, True, False
+        self._contact_count, self._is_over, self._is_settled = 0, False, True
         self._blocks: list[_Block] = []
+        self._grid: _Grid  # from the touch on
         self._weighed: _Weighed
-        self.innovation: CellInnovation | None = None
         self._time = self._deepest = 0.0
-        self._next_look = 0  #: at the grid: a count of blocks
-        self._point = -SHORTEST_STEP  #: time of the newest point of the motion [s]
-        self._start = -math.inf  #: compression at which it begins, in the air [1]
-        self._lay(self._mean, np.diag(_STEP * self._sd))
-
-    @property
-    def is_mismatch(self) -> bool:
-        """Whether law, rig or noise are not as the filter has them, by the newest grid."""
-        return self._is_refused
-
-    @property
-    def _is_contradicted(self) -> bool:
-        """Whether chi squared is too large for the noise."""
-        grid, found = self._grid, self._weighed
-        best, runs = int(found.weights.argmax()), grid.runs
-        if found.chi_squared[best] > _MOST_CHI_SQUARED * grid.bank.count:
-            return True
-        misfit = runs.misfit(math.exp(found.log_g[best]), found.bias[best], best)
-        return misfit > runs.count + NOT_BY_CHANCE * math.sqrt(2.0 * runs.count)
+        self._sample_count = self._next_look = 0  # a count of blocks: then the grid is looked at
+        self._point = -SHORTEST_STEP  # time of the newest point of the motion [s]
+        self._start = -math.inf  # compression at which it begins, in the air [1]
 
     # Samples
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin with the approach, as far back as the touch may have been."""
+        self.innovation = None
         self._contact_count += 1
         self._is_over = self._contact_count > 1
-        self.innovation = None
         if self._is_over:
             return
-        self._information = self._information[0], max(onset.bias_sd, TINY) ** -2
+        # G is all but unknown, as its own prior counts later.
+        least = math.exp(-2.0 * (self._log_g + 3.0 * self._log_g_sd))
+        self._information = least, max(onset.bias_sd, TINY) ** -2
         way = onset.approach
         outside = np.flatnonzero(way[1] < -NOT_BY_CHANCE * self._sd[2])
         own = way[:, outside[-1] if outside.size else 0 :]
         if own.size:
             own = own[:, own[1].argmin() :]
             self._point, self._start = own[:2, 0].tolist()
-        self._lay(self._mean, np.diag(_STEP * self._sd))
+        self._restart()
         for part in np.array_split(own[:, 1:], min(_POINTS, max(own.shape[1] - 1, 1)), axis=1):
             if part.size:
                 self._pass(part[0], part[1], float(part[2].mean()))
@@ -315,9 +289,7 @@ class PaperFilter(Estimator):
 
     def _pass(self, times: Array, places: Array, stress: float) -> CellInnovation:
         """Add the motion of a block and its mean stress [Pa]."""
-        before, noise = self._weighed, self._noise_variance / times.size
-        noise += self._missed(times, places, stress)
-        block = self._block_of(times, places, stress, noise)
+        before, block = self._weighed, self._block_of(times, places, stress)
         response = self._grid.add(block)
         self._weighed = self._weigh()
         if len(self._blocks) < MOST_BLOCKS:
@@ -327,13 +299,23 @@ class PaperFilter(Estimator):
             if self._sample_count and len(self._blocks) >= self._next_look:
                 self._follow()
                 self._next_look = len(self._blocks) * (1 if self._is_settled else 2)
-                self._is_refused = self._is_contradicted
+                self.is_mismatch = self._is_contradicted()
         stresses = np.exp(before.log_g) * response
         spread = before.log_g_variance * stresses**2
         stresses += before.bias
         predicted = float(before.weights @ stresses)
-        variance = noise + float(before.weights @ (spread + (stresses - predicted) ** 2))
+        variance = block.noise + float(before.weights @ (spread + (stresses - predicted) ** 2))
         return CellInnovation(predicted, stress - predicted, variance)
+
+    def _block_of(self, times: Array, places: Array, stress: float) -> _Block:
+        """Return a block with the motion by means over a few parts of it."""
+        bounds = np.arange(min(_POINTS, times.size)) * times.size // min(_POINTS, times.size)
+        sizes = np.diff(bounds, append=times.size)
+        ends, points = (np.add.reduceat(values, bounds) / sizes for values in (times, places))
+        steps = np.maximum(np.diff(ends, prepend=self._point), SHORTEST_STEP)
+        self._point = float(ends[-1])
+        noise = self._setting.noise_sd**2 / times.size + self._missed(times, places, stress)
+        return _Block(steps, points, sizes / times.size, stress, noise)
 
     def _missed(self, times: Array, places: Array, stress: float) -> float:
         """Return the variance of a block's stress by the noise of the motion and the response.
@@ -341,31 +323,38 @@ class PaperFilter(Estimator):
         The stress follows the motion by the larger of Gn and 1 / x, and fast motion has relaxed
         less.
         """
+        geometry = self._setting.geometry
         order, log_gn, origin = self._weighed.weights @ self._grid.theta
         depth = max(float(places.mean() - origin), _SHALLOW)
-        slope = self._geometry.strain_slope(depth)
-        by_motion = slope * max(math.exp(log_gn), 1.0 / self._geometry.strain(depth))
+        by_motion = max(math.exp(log_gn), 1.0 / geometry.strain(depth))
+        by_motion *= geometry.strain_slope(depth)
         lasted = max(float(times[-1] - times[0]), SHORTEST_STEP) * times.size / (times.size - 0.9)
         age = max(self._time, lasted)
-        noise = self._path_variance / lasted * (age / lasted) ** (2.0 * order)
+        noise = self._setting.path_variance / lasted * (age / lasted) ** (2.0 * order)
         return float(stress**2 * (_ERROR**2 + by_motion**2 * noise))
 
-    def _block_of(self, times: Array, places: Array, stress: float, noise: float) -> _Block:
-        """Return a block with the motion by means over a few parts of it."""
-        bounds = np.arange(min(_POINTS, times.size)) * times.size // min(_POINTS, times.size)
-        sizes = np.diff(bounds, append=times.size)
-        ends, points = (np.add.reduceat(values, bounds) / sizes for values in (times, places))
-        steps = np.maximum(np.diff(ends, prepend=self._point), SHORTEST_STEP)
-        self._point = float(ends[-1])
-        return _Block(steps, points, sizes / times.size, stress, noise)
+    def _is_contradicted(self) -> bool:
+        """Return whether chi squared is too large for the noise."""
+        found, runs = self._weighed, self._grid.runs
+        best = int(found.weights.argmax())
+        misfit = runs.misfit(math.exp(found.log_g[best]), found.bias[best], best)
+        most = runs.count + NOT_BY_CHANCE * math.sqrt(2.0 * runs.count)
+        is_loud = found.chi_squared[best] > _MOST_CHI_SQUARED * self._grid.bank.count
+        return bool(is_loud or misfit > most)
 
     # Nodes
 
+    def _restart(self) -> None:
+        """Lay a grid over the prior."""
+        self._lay(self._mean, np.diag(_STEP * self._sd))
+
     def _lay(self, centre: Array, axes: Array) -> None:
         """Lay a grid, and filter the blocks so far on it."""
-        grid = self._grid = _Grid(centre, axes, self._geometry, self._information)
+        grid = self._grid = _Grid(centre, axes, self._setting.geometry, self._information)
         off = (grid.theta - self._mean)[:, self._wide] / self._sd[self._wide]
-        is_possible = grid.is_possible & (grid.theta[:, 2] >= self._start)
+        # The contact point lies in the motion.
+        low, high = [LOWEST_ORDER, -math.inf, self._start], [HIGHEST_ORDER, math.inf, math.inf]
+        is_possible = ((grid.theta >= low) & (grid.theta <= high)).all(axis=1)
         self._log_prior = np.where(is_possible, -0.5 * (off**2).sum(axis=1), -math.inf)
         grid.begin(self._start)
         for block in self._blocks:
@@ -375,21 +364,16 @@ class PaperFilter(Estimator):
     def _weigh(self) -> _Weighed:
         """Return the nodes' results, with the prior of ln G."""
         grid = self._grid
-        g, bias, g_variance, bias_variance, chi2, log_weights = grid.bank.solve()
+        g, bias, g_variance, chi2, log_weights = grid.bank.solve()
         # While G is unknown, the prior decides.
         at = np.maximum(g, np.sqrt(g_variance))
         mean, variance, prior_variance = np.log(at), g_variance / at**2, self._log_g_sd**2
         total, off = variance + prior_variance, self._log_g - mean
         log_weights += self._log_prior - mean - 0.5 * (off**2 / total + np.log(total))
         log_weights -= log_weights.max()
+        share, weights = variance / total, _normalized(log_weights)
         return _Weighed(
-            normalized(log_weights),
-            log_weights,
-            mean + variance / total * off,
-            variance / total * prior_variance,
-            bias,
-            bias_variance,
-            chi2,
+            weights, log_weights, mean + share * off, share * prior_variance, bias, chi2
         )
 
     def _follow(self) -> None:
@@ -397,10 +381,10 @@ class PaperFilter(Estimator):
         wide = np.ix_(self._wide, self._wide)
         for _ in range(_ROUNDS):
             grid, logs = self._grid, self._weighed.log_weights
-            weights, is_few = normalized(logs), False
+            weights, is_few = _normalized(logs), False
             while 1.0 / float(weights @ weights) < _COUNTING:
                 is_few, logs = True, 0.5 * logs
-                weights = normalized(logs)
+                weights = _normalized(logs)
             best = int(logs.argmax())
             middle = grid.z[best] if is_few else weights @ grid.z
             off = grid.z - middle
@@ -416,13 +400,13 @@ class PaperFilter(Estimator):
             reach, centre = EDGE * self._sd, grid.centre + grid.axes @ middle
             centre = np.clip(centre, self._mean - reach, self._mean + reach)
             self._lay(centre, _STEP * grid.axes @ root)
-        self._lay(self._mean, np.diag(_STEP * self._sd))
+        self._restart()
 
     # Result
 
     def estimate(self) -> Estimate:
         """Return the moments of the weighted nodes, and what may be claimed of them."""
-        config, found, grid = self._config, self._weighed, self._grid
+        config, found, grid = self._setting.config, self._weighed, self._grid
         values = np.column_stack([found.log_g, grid.theta[:, [1, 0, 2]]])
         mean = found.weights @ values
         off = values - mean
@@ -431,10 +415,9 @@ class PaperFilter(Estimator):
         covariance[0, 0] += found.weights @ found.log_g_variance
         covariance[:2, :2] += config.uncertainty.thickness_sd**2
         deviations = np.sqrt(covariance.diagonal())
-        strains = grid.strains(np.array(self._deepest))
-        beyond = float(found.weights @ (strains * np.exp(grid.theta[:, 1]) > 1.0))
-        is_first = self._contact_count < 2
-        is_sound = self._is_exact and self._is_settled and is_first and not self._is_refused
+        beyond = float(found.weights @ (grid.strains(np.array(self._deepest)) * grid.gn > 1.0))
+        is_sound = self._is_exact and self._is_settled and not self.is_mismatch
+        is_sound &= self._contact_count < 2
         claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
         return Estimate(
             log_linear_stiffness=float(mean[0]),
@@ -452,7 +435,7 @@ class PaperFilter(Estimator):
         )
 
 
-def normalized(log_weights: Array) -> Array:
+def _normalized(log_weights: Array) -> Array:
     """Return weights that add up to 1."""
     weights: Array = np.exp(log_weights)
     return weights / weights.sum()

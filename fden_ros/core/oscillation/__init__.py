@@ -9,14 +9,13 @@ from fden_ros.core.oscillation.complex_modulus import (
     ComplexModulusMeter,
 )
 from fden_ros.core.oscillation.local_stiffness import Stiffness
-from fden_ros.core.oscillation.palpation import Measured, Palpated, PalpationMeter
+from fden_ros.core.oscillation.palpation import Palpated, PalpationMeter
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 __all__ = [
     "LEAST_AMPLITUDE",
     "ComplexModulus",
     "ComplexModulusMeter",
-    "Measured",
     "Palpated",
     "PalpationFrequency",
     "PalpationMeter",

@@ -40,7 +40,6 @@ class ComplexModulus(NamedTuple):
     """The complex modulus at one frequency, from one window."""
 
     start: float  #: first time of the window [s]
-    stop: float  #: last time of the window [s]
     samples: int
     angular_frequency: float  #: omega [rad/s]
     mean_strain: float  #: [1]
@@ -72,41 +71,28 @@ class ComplexModulus(NamedTuple):
 class ComplexModulusMeter:
     """Measures the complex modulus window after window.
 
-    Parameters
-    ----------
-    frequencies : sequence of float
-        Frequencies of the dither [Hz], positive, different.
-    periods : int
-        Length of a window in periods of the lowest frequency.
-    least_amplitude : float
-        Least amplitude of strain [1] that counts as a dither.
+    `frequencies` of the dither [Hz] are positive, and each stands once; a window has `periods` of
+    the lowest. Less than `least_amplitude` of strain [1] is no dither.
     """
 
     def __init__(
         self,
         frequencies: Sequence[float],
-        periods: int = 4,
+        periods: int,
         least_amplitude: float = LEAST_AMPLITUDE,
     ) -> None:
-        is_positive = bool(frequencies) and min(frequencies) > 0.0 and periods > 0
-        if not is_positive or len(set(frequencies)) < len(frequencies):
-            raise ValueError("give positive frequencies in Hz, each once, and at least 1 period")
-        self.angular_frequencies = 2.0 * math.pi * np.array(sorted(frequencies), dtype=float)
-        self.window = periods / min(frequencies)
+        self.window = periods / min(frequencies)  #: its length [s]
+        self._angular_frequencies = 2.0 * math.pi * np.array(sorted(frequencies))
         self._least_samples = _SAMPLES_PER_PERIOD * self.window * max(frequencies)
         self._least_amplitude = least_amplitude
-        size = _TREND + 2 * len(frequencies)
-        self._normal = np.zeros((size, size))
-        self._moments = np.zeros((size, 2))
-        self._powers = np.zeros(2)
-        self._start = self._stop = math.nan
-        self._samples = 0
+        self._size = _TREND + 2 * len(frequencies)
+        self._start = self._stop = 0.0
+        self.reset()
 
     def reset(self) -> None:
         """Forget the window: the contact ended, or samples are missing."""
-        self._normal.fill(0.0)
-        self._moments.fill(0.0)
-        self._powers.fill(0.0)
+        #: Products of the coefficients' functions and the two signals, summed over the samples.
+        self._sums = np.zeros((self._size + 2, self._size + 2))
         self._samples = 0
 
     @property
@@ -129,32 +115,32 @@ class ComplexModulusMeter:
         self._stop = time
         since = time - self._start
         place = 2.0 * since / self.window - 1.0
-        angles = self.angular_frequencies * since
+        angles = self._angular_frequencies * since
         waves = np.stack([np.cos(angles), np.sin(angles)], axis=1).ravel()
-        row = np.concatenate([[1.0, place, place * place], waves])
         # About the first sample, so that a large mean costs no digits.
-        signals = np.array([strain - self._offset[0], stress - self._offset[1]])
-        self._normal += np.outer(row, row)
-        self._moments += np.outer(row, signals)
-        self._powers += signals**2
+        signals = strain - self._offset[0], stress - self._offset[1]
+        row = np.array([1.0, place, place * place, *waves, *signals])
+        self._sums += np.outer(row, row)
         self._samples += 1
         return results
 
     def _solve(self) -> list[ComplexModulus]:
-        dof = self._samples - len(self._normal)
-        if self._samples < self._least_samples or dof < 1:
+        if self._samples < self._least_samples:
             return []
+        size = self._size
+        normal, moments = self._sums[:size, :size], self._sums[:size, size:]
         try:
-            inverse = np.linalg.inv(self._normal)
+            inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
             return []
-        solution = np.linalg.solve(self._normal, self._moments)
-        left = np.maximum(self._powers - np.sum(solution * self._moments, axis=0), 0.0)
-        variances = left / dof
+        solution = np.linalg.solve(normal, moments)
+        powers = self._sums.diagonal()[size:]
+        left = np.maximum(powers - np.sum(solution * moments, axis=0), 0.0)
+        variances = left / (self._samples - size)
         sines = solution[_TREND:, 1]
         pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
         results = []
-        for index, omega in enumerate(self.angular_frequencies):
+        for index, omega in enumerate(self._angular_frequencies):
             place = _TREND + 2 * index
             strain, stress = (complex(phasor) for phasor in pairs[index])
             if abs(strain) < self._least_amplitude:
@@ -165,7 +151,6 @@ class ComplexModulusMeter:
             results.append(
                 ComplexModulus(
                     self._start,
-                    self._stop,
                     self._samples,
                     float(omega),
                     # The mean of the quadratic trend over the window.

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 
 #: Part of its weight that a window keeps when the next one comes, one per model: memories of
 #: 33, 6, 2.5 windows, and of the newest alone. The same of the scatter and of the evidence.
@@ -38,10 +38,9 @@ class Stiffness(NamedTuple):
     covariance: Array  #: of its two parts [(N/m)^2], shape (2, 2)
 
     @property
-    def sd(self) -> float:
-        """Standard deviation of the magnitude, to first order [N/m]."""
-        direction = np.array([self.value.real, self.value.imag]) / max(abs(self.value), 1e-300)
-        return math.sqrt(max(float(direction @ self.covariance @ direction), 0.0))
+    def uncertain(self) -> float:
+        """How far the real part may be off by chance [N/m]."""
+        return NOT_BY_CHANCE * math.sqrt(max(float(self.covariance[0, 0]), 0.0))
 
 
 class LocalStiffness:
@@ -54,7 +53,7 @@ class LocalStiffness:
         self._precision = np.zeros(count)  # in units of 1/sigma^2 [m^2]
         # Along k and across it: a place that changes scatters the magnitude, not the phase.
         self._squares = np.zeros((2, count))  # [N^2]
-        self._freedom = 0.0
+        self._freedom = 1.0
         self._log_weights = np.zeros(count)
 
     def add(self, stiffness: complex, amplitude: float, sd: float) -> None:
@@ -62,10 +61,9 @@ class LocalStiffness:
         information = amplitude**2
         self.windows += 1
         if self.windows == 1:
-            self._mean[:] = stiffness
-            self._precision[:] = information
-            self._freedom = 1.0
-            self._squares[:] = (_COLOUR * sd * amplitude) ** 2 + 1e-300
+            self._mean += stiffness
+            self._precision += information
+            self._squares += (_COLOUR * sd * amplitude) ** 2 + 1e-300
             return
         precision = _DISCOUNTS * self._precision
         freedom = _DISCOUNT * self._freedom

@@ -20,13 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma
 
-from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
     EDGE,
     Estimate,
     EstimatorConfig,
     ParameterSet,
-    Uncertainty,
     converged,
     determined,
     kernel_change,
@@ -53,13 +51,6 @@ class Palpated(NamedTuple):
     estimate: Estimate  #: G and Gn in it are the prior
 
 
-class Measured(NamedTuple):
-    """What one window shows."""
-
-    modulus: ComplexModulus  #: of the window alone, of force by displacement [N/m]
-    found: Palpated | None  #: of all windows so far; None: no response of the tissue
-
-
 def palpated(
     stiffness: Stiffness,
     angular_frequency: float,
@@ -69,10 +60,16 @@ def palpated(
     samples: int,
 ) -> Palpated | None:
     """Return the result of a complex stiffness for a motion of tau [s]; None: not above 0."""
-    if stiffness.value.real <= NOT_BY_CHANCE * math.sqrt(max(stiffness.covariance[0, 0], 0.0)):
+    if stiffness.value.real <= stiffness.uncertain:
         return None
-    whole = _with_rig(stiffness, angular_frequency, amplitude, config.uncertainty)
     value, size, prior = stiffness.value, abs(stiffness.value), config.prior
+    rig = (
+        1j * angular_frequency * value * config.uncertainty.delay_sd,
+        value**2 * config.uncertainty.compliance_sd,
+        4j / math.pi / amplitude * config.uncertainty.friction_sd,
+    )
+    parts = np.array([(one.real, one.imag) for one in rig])
+    whole = Stiffness(value, stiffness.covariance + parts.T @ parts)
     rotation = np.array([[value.real, value.imag], [-value.imag, value.real]]) / size**2
     rotation[1] *= 2.0 / math.pi
     measured = rotation @ whole.covariance @ rotation.T  # of ln |k| and alpha
@@ -99,49 +96,24 @@ def palpated(
     return Palpated(whole, found, estimate)
 
 
-def _with_rig(
-    stiffness: Stiffness, angular_frequency: float, amplitude: float, uncertainty: Uncertainty
-) -> Stiffness:
-    """Return a stiffness whose covariance includes the uncertainty of the rig."""
-    value = stiffness.value
-    columns = (
-        1j * angular_frequency * value * uncertainty.delay_sd,
-        value**2 * uncertainty.compliance_sd,
-        4j / math.pi / amplitude * uncertainty.friction_sd,
-    )
-    parts = np.array([(column.real, column.imag) for column in columns])
-    return Stiffness(value, stiffness.covariance + parts.T @ parts)
-
-
 def _estimate(
     order: float, variance: float, config: EstimatorConfig, samples: int, is_tissue: bool
 ) -> Estimate:
     """Return the prior with the alpha that was found, observable only if `is_tissue`."""
-    prior, alpha = config.prior, ParameterSet.FRACTIONAL_ORDER
-    covariance: Array = np.diag(prior.deviations**2)
-    covariance[2, 2] = variance
-    deviations = np.sqrt(covariance.diagonal())
+    alpha = ParameterSet.FRACTIONAL_ORDER
+    log_g, log_gn, _ = config.prior.mean.tolist()
+    variances = np.append(config.prior.deviations[:2] ** 2, variance)
+    deviations = np.sqrt(variances)
     valid = determined(config, deviations, 0.0) & alpha if is_tissue else ParameterSet.NONE
     return Estimate(
-        log_linear_stiffness=math.log(prior.linear_stiffness),
-        log_nonlinear_stiffness=math.log(prior.nonlinear_stiffness),
+        log_linear_stiffness=log_g,
+        log_nonlinear_stiffness=log_gn,
         fractional_order=min(max(order, LOWEST_ORDER), HIGHEST_ORDER),
-        covariance=covariance,
+        covariance=np.diag(variances),
         observable=valid,
         known=converged(config, deviations, valid),
         at_edge=ParameterSet.NONE if is_tissue else alpha,
         sample_count=samples,
-    )
-
-
-def _sentence(value: complex, angular_frequency: float) -> str:
-    """Return one line about a complex stiffness whose phase no relaxation has."""
-    phase = math.atan2(value.imag, value.real)
-    return (
-        f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
-        f"{angular_frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes, so "
-        f"stiffness and alpha are not known. One of the two is stamped late (displacement.delay "
-        f"{phase / angular_frequency:.3f} s if all of it is lag)"
     )
 
 
@@ -178,8 +150,14 @@ class PalpationMeter:
         if self._meter is not None:
             self._meter.reset()
 
-    def add(self, time: float, displacement: float, force: float) -> Measured | None:
-        """Add a sample [s, m, N] of a later time; return the result of a window that it ends."""
+    def add(
+        self, time: float, displacement: float, force: float
+    ) -> tuple[ComplexModulus, Palpated | None] | None:
+        """Add a sample [s, m, N] of a later time; return the results of a window that it ends.
+
+        Of the window alone, of force by displacement [N/m], and of all windows so far; None: no
+        response of the tissue.
+        """
         self._finder.add(time, displacement)
         frequency = self._stated or self._finder.value
         if frequency is None:
@@ -192,7 +170,7 @@ class PalpationMeter:
         for modulus in self._meter.add(time, displacement, force):
             if math.isclose(modulus.angular_frequency, 2.0 * math.pi * frequency):
                 self._found, self._found_time = self._update(modulus), time
-                return Measured(modulus, self._found)
+                return modulus, self._found
         return None
 
     def _update(self, modulus: ComplexModulus) -> Palpated | None:
@@ -203,11 +181,16 @@ class PalpationMeter:
             return None
         samples, value = stiffness.windows * modulus.samples, whole.value
         found = palpated(whole, frequency, amplitude, self._time_scale, self._config, samples)
-        sd = math.sqrt(max(float(whole.covariance[0, 0]), 0.0))
         # By more than 90 degrees, or too far for a relaxation.
-        leads = value.real < -NOT_BY_CHANCE * sd if found is None else found.apparent is None
-        if leads and value.imag > 0.0:
-            self.out_of_step = self.out_of_step or _sentence(value, frequency)
+        leads = value.real < -whole.uncertain or (found is not None and found.apparent is None)
+        if leads and value.imag > 0.0 and self.out_of_step is None:
+            phase = math.atan2(value.imag, value.real)
+            self.out_of_step = (
+                f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
+                f"{frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes, so "
+                "stiffness and alpha are not known. One of the two is stamped late "
+                f"(displacement.delay {phase / frequency:.3f} s if all of it is lag)"
+            )
         return found
 
     def current(self, time: float) -> Palpated | None:

@@ -9,8 +9,6 @@ import math
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
-
 #: The displacement is resampled at steps of 1/32 s, over the last 8 s, and analysed twice a
 #: second.
 _RATE = 32.0
@@ -47,25 +45,22 @@ class PalpationFrequency:
         self._time, self._displacement = time, displacement
 
     def _look(self) -> None:
-        recent = np.roll(self._ring, -(self._count % _MOST))[-self._count :]
-        found, present = dominant_frequency(recent, _RATE), self.value
+        found, present = self._dominant(), self.value
         if found is None or present is None or abs(found / present - 1.0) > _CHANGE:
             self.value = found
 
-
-def dominant_frequency(values: Array, rate: float) -> float | None:
-    """Return the frequency [Hz] that dominates the change of values (n,) at a `rate` [Hz]."""
-    velocity = np.diff(values)
-    velocity -= velocity.mean()
-    power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2
-    step = rate / _POINTS
-    # The peak of a Hann window is 4 steps of its length wide.
-    width = 2.0 * rate / velocity.size / step
-    lowest = math.ceil(_PERIODS * rate / velocity.size / step)
-    highest = math.floor(_FASTEST / step)
-    peak = lowest + int(np.argmax(power[lowest : highest + 1]))
-    near = power[max(peak - round(width), 0) : peak + round(width) + 1].sum()
-    if not near > _LEAST_SHARE * power.sum() or peak in (lowest, highest):
-        return None
-    below, top, above = power[peak - 1 : peak + 2]
-    return float(step * (peak + 0.5 * (below - above) / (below - 2.0 * top + above)))
+    def _dominant(self) -> float | None:
+        """Return the frequency [Hz] that dominates the velocity; None: there is none."""
+        velocity = np.diff(np.roll(self._ring, -(self._count % _MOST))[-self._count :])
+        velocity -= velocity.mean()
+        power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2
+        step, own = _RATE / _POINTS, _POINTS / velocity.size
+        # The peak of a Hann window is 4 steps of its length wide.
+        width, lowest = round(2.0 * own), math.ceil(_PERIODS * own)
+        highest = math.floor(_FASTEST / step)
+        peak = lowest + int(np.argmax(power[lowest : highest + 1]))
+        near = power[max(peak - width, 0) : peak + width + 1].sum()
+        if not near > _LEAST_SHARE * power.sum() or peak in (lowest, highest):
+            return None
+        below, top, above = power[peak - 1 : peak + 2]
+        return float(step * (peak + 0.5 * (below - above) / (below - 2.0 * top + above)))
