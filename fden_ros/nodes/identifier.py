@@ -310,8 +310,8 @@ def _ask_for_priority() -> str:
         os.nice(_NICE)
     except PermissionError:
         return (
-            f"no right to a negative nice ({_NICE}): next to busy processes estimates may come "
-            "late; docs/robots.md says how to get it"
+            f"no right to a nice value of {_NICE}: next to busy processes estimates may come "
+            "late; docs/quickstart.md says how to get it"
         )
     return ""
 
