@@ -18,10 +18,10 @@ from fden_ros.report.numbers import DASH, bracketed, order, parameter, slope, st
 
 #: Significant digits of a value, and of N/m, so that the table keeps to 80 columns.
 _DIGITS, _STIFFNESS_DIGITS = 4, 3
-_SLOPE = "slope: dF/dd in N/m as measured at the end of loading, at mm below the surface"
+_SLOPE = "slope: measured dF/dd in N/m at the end of loading, and its depth in mm"
 _PATH = (
-    "contact.mode continuous: dF/dd and α at places on the path; slope: dF/dd in N/m as "
-    "measured by the newest loading"
+    "contact.mode continuous: dF/dd and α at places on the path; slope: measured dF/dd in N/m "
+    "of the newest loading"
 )
 _NUMBERS = ("#", "site", "G [Pa s^α]", "Gn", "α", "N/m", "slope at mm")
 
