@@ -106,7 +106,7 @@ unknown type | {topic} is published as {kind}, expected {expected} | remap it, {
 reliability | a publisher on {topic} offers best_effort but reliable is requested: nothing
   arrives from it | set {override} to best_effort
 several | {topic} has {count} publishers, whose samples are mixed | stop all but one
-silent | {names} publishes {topic}, but no message has arrived
+silent | {topic} is published by {names}, but no message has arrived
 zero_stamp | the header stamps of the {stream} are not set
   | set them, or set synchronize.stamp_source to receive
 missing_field | no joint of that name has a value | set {stream}.name
