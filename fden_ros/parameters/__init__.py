@@ -28,7 +28,6 @@ from fden_ros.parameters.files import (
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
     frames_config,
-    moves_probe,
     pipeline_config,
     tool_weight,
     uncertainty_of,
@@ -57,7 +56,6 @@ __all__ = [
     "frames_config",
     "identifier_values",
     "live_topics",
-    "moves_probe",
     "open_axes",
     "parse_yaml",
     "pipeline_config",

@@ -149,9 +149,8 @@ def _leaves(tree: Mapping[object, object], prefix: str) -> Iterator[tuple[str, o
 def check_types(name: str, value: object) -> None:
     """Refuse a list that ROS 2 does not read: of values of several types."""
     if isinstance(value, list) and len({type(v) for v in value}) > 1:
-        hint = ""
-        if all(type(v) in (int, float) for v in value):
-            hint = f": write {[float(v) for v in value]}"
+        are_numbers = all(type(v) in (int, float) for v in value)
+        hint = f": write {[float(v) for v in value]}" if are_numbers else ""
         raise InputError(
             f"parameter {name} is {value}, which ROS 2 cannot read, because it mixes whole "
             f"numbers and others, or other types{hint}"

@@ -49,43 +49,39 @@ class Parameter(Described):
             return f"{each}{zero}{self.minimum:g} to {self.maximum:g}"
         return f"at least {self.minimum:g}" if low else f"at most {self.maximum:g}" if high else ""
 
-    def check(self, value: object) -> Value:
+    def check(self, value: Any) -> Value:
         """Return `value` in the parameter's type."""
         default = self.default
         if isinstance(default, list):
             return self._list(value)
-        is_own = isinstance(value, type(default)) or (
-            isinstance(default, float) and isinstance(value, int)
-        )
-        if not is_own or isinstance(value, bool) != isinstance(default, bool):
+        kinds = (int, float) if isinstance(default, float) else type(default)
+        if not isinstance(value, kinds) or isinstance(value, bool) != isinstance(default, bool):
             raise self._refused(value, self.type_name)
-        if isinstance(value, str) and self.choices and value not in self.choices:
-            raise self._refused(value, self.constraint)
-        return value if isinstance(value, (bool, str)) else self._number(value)
+        if not (value in self.choices if self.choices else self._may_be(value)):
+            raise self._refused(value, self.constraint + self._other_unit(value))
+        return float(value) if isinstance(default, float) else value
 
-    def _list(self, value: object) -> list[float]:
+    def _list(self, value: Any) -> list[float]:
         is_list = isinstance(value, Sequence) and not isinstance(value, str)
-        numbers: list[Any] = list(value) if is_list else []  # type: ignore[call-overload]
+        numbers = list(value) if is_list else []
         is_full = 1 <= len(numbers) <= self.most if self.most else len(numbers) == 3
         if not is_full or any(type(v) not in (int, float) for v in numbers):
             raise self._refused(value, self.type_name)
-        if self.most:
-            return [float(self._number(v)) for v in numbers]
-        is_zero = not any(numbers) and not self.may_be_zero
-        if is_zero or not all(map(math.isfinite, numbers)):
+        may_be_zero = self.may_be_zero or self.most or any(numbers)
+        if not (may_be_zero and all(map(self._may_be, numbers))):
             raise self._refused(value, self.constraint)
         return [float(v) for v in numbers]
 
-    def _number(self, value: Any) -> int | float:
-        is_unset = self.may_be_zero and value == 0
-        if not math.isfinite(value) or not (self.minimum <= value <= self.maximum or is_unset):
-            raise self._refused(value, self.constraint + self._other_unit(value))
-        return value if isinstance(self.default, int) else float(value)
+    def _may_be(self, value: Any) -> bool:
+        """Return whether a value of the right type is in the range."""
+        if isinstance(value, (bool, str)) or (self.may_be_zero and value == 0):
+            return True
+        return math.isfinite(value) and self.minimum <= value <= self.maximum
 
     def _refused(self, value: object, expected: str) -> InputError:
         return InputError(f"parameter {self.name} is {value!r}, must be {expected}")
 
-    def _other_unit(self, value: float) -> str:
+    def _other_unit(self, value: Any) -> str:
         """Return what a value beyond the range would be if it was meant in a usual unit."""
         name, factor = _OTHER_UNITS.get(self.unit, ("", 0.0))
         if not name or not self.minimum <= factor * value <= self.maximum < value:

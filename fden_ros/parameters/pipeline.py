@@ -20,8 +20,8 @@ from fden_ros.tissues.library import library_for
 
 
 def unit_vector(values: Sequence[float]) -> Vector:
-    """Return `values`, three numbers, scaled to length 1."""
-    length = math.hypot(*values)
+    """Return `values`, three numbers, scaled to length 1, but zeros as they are."""
+    length = math.hypot(*values) or 1.0
     x, y, z = (v / length for v in values)
     return x, y, z
 
@@ -29,6 +29,7 @@ def unit_vector(values: Sequence[float]) -> Vector:
 def pipeline_config(parameters: Parameters) -> PipelineConfig:
     """Return the core's configuration for checked parameters."""
     core, geometry = parameters.core, parameters.geometry.build()
+    displacement = parameters.displacement
     if core.is_continuous and len(core.dither_frequencies) > 1:
         raise InputError(
             f"dither.frequencies has {len(core.dither_frequencies)} frequencies: with "
@@ -39,24 +40,17 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             f"force.friction is {core.estimator.friction} and force.friction_sd is 0: a friction "
             "is used only with a standard deviation, such as 0.001"
         )
-    axis, stated = (
-        unit_vector(parameters.displacement.axis),
-        parameters.displacement.surface_normal,
-    )
-    normal = unit_vector(stated) if any(stated) else None
-    is_along = parameters.displacement.along_tool
-    # Along it two touches may differ and be of one site; without a normal there is no such line.
-    approach = (normal or (0.0, 0.0, 0.0)) if is_along else axis
+    axis, stated = map(unit_vector, (displacement.axis, displacement.surface_normal))
+    normal = stated if any(stated) else None
+    path = ToolPathConfig(axis, normal) if displacement.along_tool else None
     return replace(
         core,
         library=library_for(parameters.library, geometry),
         geometry=geometry,
-        synchronize=replace(
-            core.synchronize,
-            frames=frames_config(parameters),
-            tool_path=ToolPathConfig(axis, normal) if is_along else None,
-        ),
-        contact=replace(core.contact, approach_axis=approach),
+        synchronize=replace(core.synchronize, frames=frames_config(parameters), tool_path=path),
+        # Along the tool two touches may differ and be of one site; without a normal there is no
+        # such line.
+        contact=replace(core.contact, approach_axis=stated if path is not None else axis),
         estimator=replace(core.estimator, uncertainty=uncertainty_of(parameters)),
     )
 
@@ -71,8 +65,8 @@ def uncertainty_of(parameters: Parameters) -> Uncertainty:
 def frames_config(parameters: Parameters) -> FramesConfig | None:
     """Return which frames count; None where no transform is used."""
     base, probe = parameters.frames.base, parameters.frames.probe
-    by_transform = moves_probe(parameters)
-    if by_transform and not (base and probe):
+    moves_probe = parameters.displacement.message == "tf"
+    if moves_probe and not (base and probe):
         raise InputError(
             "displacement.message is tf: name the frame of the probe's tip and that of the tissue "
             "in frames.probe and frames.base"
@@ -84,14 +78,9 @@ def frames_config(parameters: Parameters) -> FramesConfig | None:
         probe,
         unit_vector(parameters.force.axis),
         unit_vector(parameters.displacement.axis),
-        by_transform,
+        moves_probe,
         tool_weight(parameters),
     )
-
-
-def moves_probe(parameters: Parameters) -> bool:
-    """Return whether the displacement is that of a frame, by transforms."""
-    return parameters.displacement.message == "tf"
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:

@@ -27,7 +27,7 @@ from fden_ros.inputs import (
     stamp_ns,
     stream_of,
 )
-from fden_ros.parameters import Parameters, frames_config, moves_probe
+from fden_ros.parameters import Parameters, frames_config
 from fden_ros.recording.bag_files import RawMessage, Topic
 from fden_ros.recording.fields import FieldPath, decoder_of, hint_of
 from fden_ros.recording.machine import machine_values
@@ -136,7 +136,7 @@ class BagSource:
         self.reader = BagReader(path)
         self.parameters = parameters
         self._is_stamped = selection.stamps == "header" and parameters.stamp_source == "header"
-        wanted = ("force",) if moves_probe(parameters) else _ALWAYS
+        wanted = ("force",) if parameters.displacement.message == "tf" else _ALWAYS
         self._paths = {s: FieldPath(selection.fields[s]) for s in wanted if s in selection.fields}
         self.topics: dict[str, Topic] = {}
         for stream in wanted:
