@@ -84,8 +84,21 @@ nonlinear_stiffness | Gn is at a limit of its prior
 fractional_order | alpha is at a limit of the range of tissue
   | measure the delay with fden configure, or rely on the measured slope
 """)
-#: By what is odd about the samples, the likeliest remedy first.
+#: By what is odd about the samples.
 INPUTS = _table("""
+displacement sign | the force grows as the displacement falls
+  | change the sign of the displacement (displacement.axis, displacement.inverted)
+both signs | the force fell below its value in the air, and the displacement falls with it
+  | change both signs (force.axis and displacement.axis, or their .inverted), or begin in the air
+force sign | the force fell below its value in the air
+  | change its sign (force.axis, force.inverted), or begin in the air
+touch | the force fell below its value in the air: a faint touch was mistaken for the air
+  | touch faster, or begin in the air
+drift | the force drifts in the air | tare, or let the sensor warm up
+rise | the force rises without a touch | begin in the air (a testing machine's table:
+  --from-touch), or, if it drifts, tare and let the sensor warm up
+clock | the clock jumped back: everything learned was reset
+stuck | the force repeated one value: is the sensor dead, or at its limit?
 no pair | no pair of force and displacement: do the stamps of the two topics overlap?
 no contact | no contact was found
   | check force.threshold, and the signs of force.axis and displacement.axis: both must grow as

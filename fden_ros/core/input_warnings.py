@@ -5,30 +5,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 
+from fden_ros.advice import INPUTS
 from fden_ros.core.plausibility import of_stream
 from fden_ros.core.streams import Pair, Reason, SynchronizeConfig, Synchronizer
 
-WORDS = {
-    "displacement sign": "the force grows as the displacement falls; change the sign of the "
-    "displacement (displacement.axis, displacement.inverted)",
-    "both signs": "the force fell below its value in the air, and the displacement falls with it; "
-    "change both signs (force.axis and displacement.axis, or their .inverted), or begin in the "
-    "air",
-    "force sign": "the force fell below its value in the air; change its sign (force.axis, "
-    "force.inverted), or begin in the air",
-    "touch": "the force fell below its value in the air: a faint touch was mistaken for the air; "
-    "touch faster, or begin in the air",
-    "drift": "the force drifts in the air; tare, or let the sensor warm up",
-    "rise": "the force rises without a touch; begin in the air (a testing machine's table: "
-    "--from-touch), or, if it drifts, tare and let the sensor warm up",
-    "clock": "the clock jumped back: everything learned was reset",
-    "stuck": "the force repeated one value: is the sensor dead, or at its limit?",
-}
-#: Samples that are usually without a partner when two streams begin.
-_USUAL_UNPAIRED = 2
 #: Means over this time are compared with the first of them [ns].
 _BLOCK_NS = 100_000_000
 
@@ -41,8 +23,8 @@ class Direction:
 
     def __init__(self) -> None:
         self._block: list[Pair] = []
-        self._first: float | None = None
-        self._last = 0.0, 0.0
+        #: First and newest means of force and displacement.
+        self._ends: tuple[tuple[float, float], tuple[float, float]] | None = None
         self._force = 0.0  #: sum of signed squares of the force less its first value [N^2]
         self._together = 0.0  #: sum of the products of their changes [N m]
 
@@ -54,13 +36,11 @@ class Direction:
                 sum(values) / len(block)
                 for values in zip(*((one.force, one.displacement) for one in block), strict=True)
             )
-            if self._first is None:
-                self._first = force
-            else:
-                change = force - self._first
-                self._force += change * abs(change)
-                self._together += (force - self._last[0]) * (displacement - self._last[1])
-            self._last = force, displacement
+            first, last = self._ends or ((force, displacement), (force, displacement))
+            change = force - first[0]
+            self._force += change * abs(change)
+            self._together += (force - last[0]) * (displacement - last[1])
+            self._ends = first, (force, displacement)
             block.clear()
         block.append(pair)
 
@@ -98,15 +78,9 @@ def input_warnings(
     counts = {
         of_stream("force", synchronizer.force_guard, config.force_limit): 1,
         of_stream("displacement", synchronizer.displacement_guard, config.displacement_limit): 1,
-        WORDS["clock"]: clock_jumps,
-        WORDS[direction.cause]: rises if is_sign else falls,
-        WORDS["drift" if has_air else "rise"]: 0 if is_sign else rises,
-        WORDS["stuck"]: rejected.get(f"force.{Reason.STUCK}", 0),
+        str(INPUTS["clock"]): clock_jumps,
+        str(INPUTS[direction.cause]): rises if is_sign else falls,
+        str(INPUTS["drift" if has_air else "rise"]): 0 if is_sign else rises,
+        str(INPUTS["stuck"]): rejected.get(f"force.{Reason.STUCK}", 0),
     }
     return {words: count for words, count in counts.items() if words and count}
-
-
-def unusual(rejected: Counter[str]) -> int:
-    """Return the count of rejected samples, less the first two without a partner."""
-    unpaired = rejected[f"force.{Reason.UNPAIRED}"]
-    return rejected.total() - min(unpaired, _USUAL_UNPAIRED)

@@ -20,7 +20,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact_session import ContactSession
 from fden_ros.core.continuous_session import ContinuousSession
-from fden_ros.core.input_warnings import Direction, input_warnings, unusual
+from fden_ros.core.input_warnings import Direction, input_warnings
 from fden_ros.core.outputs import (
     ContactSummary,
     Failure,
@@ -37,6 +37,7 @@ from fden_ros.core.streams import (
     Pair,
     Position,
     Quaternion,
+    Reason,
     StaticLinks,
     Synchronizer,
     Transform,
@@ -247,7 +248,7 @@ class Pipeline:
     @property
     def unusual_rejections(self) -> int:
         """Rejected samples, without the usual first two that have no partner."""
-        return unusual(self.rejected)
+        return self.rejected.total() - min(self.rejected[f"force.{Reason.UNPAIRED}"], 2)
 
     @property
     def warnings(self) -> dict[str, int]:

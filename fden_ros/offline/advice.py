@@ -66,30 +66,30 @@ def _at_limit(estimate: Estimate | None) -> Iterator[Advice]:
 
 def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
     estimate, budget = summary.estimate, summary.budget
-    reason = next((flag.name for flag in _REASONS if flag & summary.flags), None)
-    if reason is not None and not (summary.is_of_path or summary.converged):
-        return FLAGS[reason]
-    is_closed = summary.converged or estimate is None or bool(estimate.at_edge)
-    if estimate is None or is_closed or summary.flags & WITHHELD:
+    if summary.converged:
         return None
-    is_hidden = budget is not None and estimate.boundary_stress < budget.stress_noise
-    if budget is not None and is_hidden and not estimate.knows(0):
-        noise = quantity(budget.stress_noise / config.geometry.stress_per_force, "N")
-        return LACKS["linear part"].of(noise=noise)
+    reason = next((flag.name for flag in _REASONS if flag & summary.flags), None)
+    if reason is not None and not summary.is_of_path:
+        return FLAGS[reason]
+    if estimate is None or estimate.at_edge or summary.flags & WITHHELD:
+        return None
+    noise = budget.stress_noise if budget is not None else 0.0
+    if estimate.boundary_stress < noise and not estimate.knows(0):
+        force = quantity(noise / config.geometry.stress_per_force, "N")
+        return LACKS["linear part"].of(noise=force)
     if not estimate.determines(1):
         return _bend(summary, estimate, config)
     limits = config.estimator.converged_log_g_sd, config.estimator.converged_log_gn_sd
     poor = [k for k in (0, 1) if estimate.deviations[k] > limits[k]]
     if not poor:
         return LACKS["settled"]
-    spreads = [min(float(estimate.deviations[k]), 20.0) for k in poor]
-    known = ", ".join(
-        f"{('G', 'Gn')[k]} is known to "
-        + (f"{100.0 * sd:.0f} %" if sd < 1.0 else f"a factor of {written(math.exp(sd), 2)}")
-        for k, sd in zip(poor, spreads, strict=True)
-    )
+    known = []
+    for k in poor:
+        sd = min(float(estimate.deviations[k]), 20.0)
+        spread = f"{100.0 * sd:.0f} %" if sd < 1.0 else f"a factor of {written(math.exp(sd), 2)}"
+        known.append(f"{('G', 'Gn')[k]} is known to {spread}")
     source, share = _largest(budget, poor[0])
-    return Advice(f"{known} only{share}", SOURCES[source].remedy)
+    return Advice(f"{', '.join(known)} only{share}", SOURCES[source].remedy)
 
 
 def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -> Advice:
