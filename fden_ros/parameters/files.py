@@ -118,15 +118,12 @@ def read_sections(path: str | Path) -> list[Section]:
     raise InputError(f"{path}: {reason}")
 
 
-_NO_KEY = (
-    f"no mapping {_KEY}: parameters stand below `/**:`, or the node's name, and `{_KEY}:`; "
-    "`fden parameters` prints a file"
-)
-
-
 def _sections(tree: object, node: str) -> Iterator[Section]:
     if not isinstance(tree, Mapping) or not tree:
-        raise InputError(_NO_KEY)
+        raise InputError(
+            f"no mapping {_KEY}: parameters stand below `/**:`, or the node's name, and "
+            f"`{_KEY}:`; `fden parameters` prints a file"
+        )
     for key, below in tree.items():
         if key == _KEY and isinstance(below, Mapping):
             yield Section(node, dict(_leaves(below, "")))

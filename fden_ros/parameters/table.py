@@ -14,7 +14,7 @@ import difflib
 import enum
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law import GeometryConfig, Sphere, TorsionalRheometer
@@ -23,8 +23,6 @@ from fden_ros.core.streams import ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.message_kinds import FORCES, PLACES
 from fden_ros.parameters.parameter import Parameter, Value, Vector
-
-_Settings = TypeVar("_Settings")
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ class Parameters:
     def changed(self, values: Mapping[str, object]) -> Parameters:
         """Return these parameters with others in place of some."""
         own = {name: parameter_named(name).check(value) for name, value in values.items()}
-        found = _changed(self, own)
+        found: Parameters = _changed(self, own)
         kind = found.geometry.kind
         if kind in (Sphere.kind, TorsionalRheometer.kind) and not found.geometry.radius:
             raise InputError(
@@ -181,16 +179,16 @@ def _leaves(settings: Any) -> Iterator[tuple[Described, Any]]:
             yield from _leaves(value)
 
 
-def _changed(settings: _Settings, values: Mapping[str, Any]) -> _Settings:
+def _changed(settings: Any, values: Mapping[str, Any]) -> Any:
     """Return a dataclass with values, by the names of parameters, in place of some."""
     changes: dict[str, Any] = {}
-    for leaf in dataclasses.fields(settings):  # type: ignore[arg-type]
+    for leaf in dataclasses.fields(settings):
         value, described = getattr(settings, leaf.name), leaf.metadata.get(DESCRIBED)
         if described is not None and described.name in values:
             changes[leaf.name] = type(value)(values[described.name])
         elif dataclasses.is_dataclass(value):
             changes[leaf.name] = _changed(value, values)
-    return dataclasses.replace(settings, **changes)  # type: ignore[type-var]
+    return dataclasses.replace(settings, **changes)
 
 
 def _plain(value: Any) -> Value:

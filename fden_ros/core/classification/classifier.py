@@ -88,8 +88,7 @@ class TissueLibrary:
 class ClassProbabilities(NamedTuple):
     """Probabilities of a library's classes, in its order, ``unknown`` last.
 
-    The label is the most probable class, ``unknown`` where the open-set test says so, or empty
-    where nothing has been decided.
+    The label is the most probable class until one is decided, then that; empty: undetermined.
     """
 
     label: str
@@ -136,20 +135,14 @@ def likelihood_of(
     return Likelihood(mean, score, information)
 
 
-def classify(
-    library: TissueLibrary, likelihood: Likelihood, significance: float = 0.0
-) -> ClassProbabilities:
-    """Return the probability of every class given what the data of one place say.
-
-    The label is ``unknown`` where the p-value is below the `significance`.
-    """
+def classify(library: TissueLibrary, likelihood: Likelihood) -> ClassProbabilities:
+    """Return the probability of every class given what the data of one place say."""
     evidence, fits = log_evidence(library, likelihood)
-    probabilities, names, p_value = posterior(library, evidence), library.class_names, fits.max()
+    probabilities, names = posterior(library, evidence), library.class_names
     best = int(np.argmax(probabilities))
-    label = names[best] if p_value >= significance else UNKNOWN
     is_observable = _is_observable(library, likelihood, evidence, best)
     return ClassProbabilities(
-        label, names, tuple(probabilities.tolist()), float(p_value), is_observable
+        names[best], names, tuple(probabilities.tolist()), float(fits.max()), is_observable
     )
 
 

@@ -150,7 +150,7 @@ class Labeller:
             found = self.surroundings.compared(site_id, estimate, likelihood)
             return found.classes if found is not None else None, found
         if self.library is not None:
-            return classify(self.library, likelihood, self.decision.significance), None
+            return classify(self.library, likelihood), None
         return None, None
 
 

@@ -93,12 +93,7 @@ class ComplexModulusMeter:
         """Forget the window: the contact ended, or samples are missing."""
         #: Products of the coefficients' functions and the two signals, summed over the samples.
         self._sums = np.zeros((self._size + 2, self._size + 2))
-        self._samples = 0
-
-    @property
-    def begins_window(self) -> bool:
-        """Whether the newest sample is the first of a window."""
-        return self._samples == 1
+        self.samples = 0  #: of the window
 
     def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
         """Add a sample; return one result a frequency where it ends a window, else nothing.
@@ -106,11 +101,11 @@ class ComplexModulusMeter:
         `time` [s] increases; `strain` [1], `stress` [Pa].
         """
         # Half a step of slack: the sample that rounds to the window's end begins the next one.
-        ended = self._samples > 1 and time - self._start >= self.window - 0.5 * (time - self._stop)
+        ended = self.samples > 1 and time - self._start >= self.window - 0.5 * (time - self._stop)
         results = self._solve() if ended else []
         if ended:
             self.reset()
-        if self._samples == 0:
+        if self.samples == 0:
             self._start, self._offset = time, (strain, stress)
         self._stop = time
         since = time - self._start
@@ -121,11 +116,11 @@ class ComplexModulusMeter:
         signals = strain - self._offset[0], stress - self._offset[1]
         row = np.array([1.0, place, place * place, *waves, *signals])
         self._sums += np.outer(row, row)
-        self._samples += 1
+        self.samples += 1
         return results
 
     def _solve(self) -> list[ComplexModulus]:
-        if self._samples < self._least_samples:
+        if self.samples < self._least_samples:
             return []
         size = self._size
         normal, moments = self._sums[:size, :size], self._sums[:size, size:]
@@ -136,7 +131,7 @@ class ComplexModulusMeter:
         solution = np.linalg.solve(normal, moments)
         powers = self._sums.diagonal()[size:]
         left = np.maximum(powers - np.sum(solution * moments, axis=0), 0.0)
-        variances = left / (self._samples - size)
+        variances = left / (self.samples - size)
         sines = solution[_TREND:, 1]
         pairs = solution[_TREND::2] - 1j * solution[_TREND + 1 :: 2]
         results = []
@@ -151,7 +146,7 @@ class ComplexModulusMeter:
             results.append(
                 ComplexModulus(
                     self._start,
-                    self._samples,
+                    self.samples,
                     float(omega),
                     # The mean of the quadratic trend over the window.
                     float(self._offset[0] + solution[0, 0] + solution[2, 0] / 3.0),
@@ -159,7 +154,7 @@ class ComplexModulusMeter:
                     modulus.real,
                     modulus.imag,
                     math.sqrt(spread * noise) / abs(strain),
-                    math.sqrt(left[1] / self._samples / max(0.5 * float(sines @ sines), 1e-300)),
+                    math.sqrt(left[1] / self.samples / max(0.5 * float(sines @ sines), 1e-300)),
                 )
             )
         return _with_slope(results)

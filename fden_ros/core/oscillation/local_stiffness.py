@@ -69,7 +69,7 @@ class LocalStiffness:
         freedom = _DISCOUNT * self._freedom
         squares = _DISCOUNT * self._squares
         error = stiffness - self._mean
-        turned = error * _direction(stiffness).conjugate()
+        turned = error * (stiffness / (abs(stiffness) or 1.0)).conjugate()
         spread = 1.0 / precision + 1.0 / information
         normalized = np.stack([turned.real, turned.imag]) ** 2 / spread  # times sigma^2
         # Predictive densities of the parts, Student's t; their constants are equal.
@@ -96,13 +96,7 @@ class LocalStiffness:
         # The variance of a Student's t is that of its scale times freedom / (freedom - 2).
         own = self._squares / (self._freedom - 2.0) / self._precision
         parts = np.stack([apart.real, apart.imag])
-        direction = _direction(mean)
+        direction = mean / (abs(mean) or 1.0)
         turn = np.array([[direction.real, -direction.imag], [direction.imag, direction.real]])
         covariance = (parts * weights) @ parts.T + (turn * (own @ weights)) @ turn.T
         return Stiffness(mean, covariance)
-
-
-def _direction(value: complex) -> complex:
-    """Return a number of magnitude 1 in the direction of another; 1 for 0."""
-    size = abs(value)
-    return value / size if size > 0.0 else 1.0 + 0.0j

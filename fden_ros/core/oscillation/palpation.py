@@ -143,7 +143,7 @@ class PalpationMeter:
     @property
     def begins_window(self) -> bool:
         """Whether the newest sample is the first of a window."""
-        return self._meter is not None and self._meter.begins_window
+        return self._meter is not None and self._meter.samples == 1
 
     def skip(self) -> None:
         """Begin the window anew: samples are missing."""
