@@ -28,7 +28,7 @@ _SAME_INTERRUPT = 1.0
 
 #: What the exit codes of all commands mean.
 EXIT_CODES = {0: "done", 1: "the input cannot be used", 2: "wrong usage"}
-_HELP_WIDTH = 96
+_HELP_WIDTH = 79
 
 #: What ``fden --help`` says of each module of :mod:`fden_ros.commands`.
 COMMANDS = {
@@ -49,8 +49,8 @@ COMMANDS = {
 DESCRIPTION = """\
 Identify soft tissue from force and displacement with the FDEN model.
 
-  fden configure rec -o probe.yaml        write a parameter file from a recording
-  fden replay rec --config probe.yaml     print N/m, G and Gn of each contact
+  fden configure rec -o probe.yaml     write a parameter file from a recording
+  fden replay rec --config probe.yaml  print N/m, G and Gn of each contact
 """
 
 

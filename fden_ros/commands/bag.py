@@ -12,10 +12,11 @@ from fden_ros.commands.checkout import module
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
-Simulate a palpation and write it as a rosbag2 folder (MCAP), which `ros2 bag play`, Foxglove and
-PlotJuggler also read. The bag has the truth as JSON on the latched topic /simulation/truth. The
-folder has a parameter file for the identifier, identifier.yaml. This command needs a checkout,
-because the simulation is not installed.
+Simulate a palpation and write it as a rosbag2 folder (MCAP), which `ros2 bag
+play`, Foxglove and PlotJuggler also read. The bag has the truth as JSON on the
+latched topic /simulation/truth. The folder has a parameter file for the
+identifier, identifier.yaml. This command needs a checkout, because the
+simulation is not installed.
 """
 
 EPILOG = """\

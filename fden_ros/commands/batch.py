@@ -12,10 +12,11 @@ import sys
 from fden_ros.commands.inputs import parameters_of, selection_of
 
 DESCRIPTION = """\
-Identify all recordings of an archive, bags of every kind and tables, several at once, and write a
-table (CSV) with one row per contact. A recording that cannot be used gives a row with its error;
-so does a place without recordings. Recordings in the table are not done again. A table that was
-made with other parameters is refused.
+Identify all recordings of an archive, bags of every kind and tables, several
+at once, and write a table (CSV) with one row per contact. A recording that
+cannot be used gives a row with its error; so does a place without recordings.
+Recordings in the table are not done again. A table that was made with other
+parameters is refused.
 """
 
 EPILOG = """\

@@ -14,9 +14,9 @@ from fden_ros.commands.command import Parser
 from fden_ros.commands.options import JSON, add_options
 
 DESCRIPTION = """\
-Measure how good the package is, and compare the figures with their goals. Each benchmark prints
-tables and writes its figures to NAME.json in the output folder. Benchmarks are not installed:
-this needs a checkout.
+Measure how good the package is, and compare the figures with their goals. Each
+benchmark prints tables and writes its figures to NAME.json in the output
+folder. Benchmarks are not installed: this needs a checkout.
 """
 
 EPILOG = """\

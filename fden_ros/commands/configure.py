@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from fden_ros.configure.survey import Survey
 
 DESCRIPTION = """\
-Find axes and signs, units, rates, noise, bias, drift, the delay between force and displacement,
-the compliance and the weight of the tool in a recording. Each finding has its standard deviation.
-The command lists what the recording cannot show, with the motion that would show it, and writes a
-commented parameter file.
+Find axes and signs, units, rates, noise, bias, drift, the delay between force
+and displacement, the compliance and the weight of the tool in a recording.
+Each finding has its standard deviation. The command lists what the recording
+cannot show, with the motion that would show it, and writes a commented
+parameter file.
 """
 
 EPILOG = """\
@@ -34,10 +35,11 @@ examples:
   fden configure robot.csv --columns @500,5,3*1e-3        500 Hz, force and depth by number
   fden configure press.csv --json | jq '.findings[] | select(.claim == false)'
 
-To record everything, stay in the air for 2 s, and turn the tool through three orientations. Then
-press a rigid plate twice, and tissue three times with a hold of 2 s. Then move in tissue by a sine
-of 0.5 mm at 1 and 4 Hz. No recording shows the indenter: state it. With --robot ur a table needs
-the headings of the robot's recorder.
+To record everything, stay in the air for 2 s, and turn the tool through three
+orientations. Then press a rigid plate twice, and tissue three times with a
+hold of 2 s. Then move in tissue by a sine of 0.5 mm at 1 and 4 Hz. No
+recording shows the indenter: state it. With --robot ur a table needs the
+headings of the robot's recorder.
 """
 
 #: Exit codes in addition to those of all commands.

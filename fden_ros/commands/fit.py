@@ -27,13 +27,14 @@ _ROWS = "\n".join(
 )
 
 DESCRIPTION = f"""\
-Identify alpha, G and Gn from one of the paper's experiments. FILE is a table with a line of column
-names, or of headings with units such as "Time (s)":
+Identify alpha, G and Gn from one of the paper's experiments. FILE is a table
+with a line of column names, or of headings with units such as "Time (s)":
 
   {"KIND":14}{"columns":50}gives
 {_ROWS}
 
-The command prints a table with standard deviations and 95 % intervals, or one object with --json.
+The command prints a table with standard deviations and 95 % intervals, or one
+object with --json.
 """
 
 EPILOG = """\

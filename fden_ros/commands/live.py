@@ -18,8 +18,9 @@ from fden_ros.commands.monitor import watch
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
-Start the tissue simulator, the identifier and the force controller, each in its own process, and
-show the state of the identifier in this terminal. Ctrl-C stops them all.
+Start the tissue simulator, the identifier and the force controller, each in
+its own process, and show the state of the identifier in this terminal. Ctrl-C
+stops them all.
 """
 
 EPILOG = """\

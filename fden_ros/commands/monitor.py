@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from fden_ros.report.monitor import MonitorView
 
 DESCRIPTION = """\
-Show the state of a running identifier in the terminal: rates, status, contact, G, Gn and alpha
-with intervals of two standard deviations, the classification, the last contacts, and warnings.
-Ctrl-C ends it. If the output is not a terminal, the command prints one line per second.
+Show the state of a running identifier in the terminal: rates, status, contact,
+G, Gn and alpha with intervals of two standard deviations, the classification,
+the last contacts, and warnings. Ctrl-C ends it. If the output is not a
+terminal, the command prints one line per second.
 """
 
 EPILOG = """\

@@ -126,7 +126,7 @@ _REPLACE = _option("--force", "replace what is there already", bool)
 CONFIG = (
     _option(
         "--config",
-        "parameter file (YAML); of several, the last one counts",
+        "parameter file (YAML); give several, and later ones override",
         Path,
         "FILE",
         action="append",

@@ -11,9 +11,9 @@ import textwrap
 from fden_ros.parameters import PARAMETERS, Value
 
 DESCRIPTION = """\
-Print a parameter file with every parameter of the identifier at its default, each explained.
-Keep the values that differ for your probe, and pass the file to the node (--params-file) or
-to `fden replay --config`.
+Print a parameter file with every parameter of the identifier at its default,
+each explained. Keep the values that differ for your probe, and pass the file
+to the node (--params-file) or to `fden replay --config`.
 """
 
 EPILOG = """\

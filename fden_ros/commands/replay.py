@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 _NOTHING_IDENTIFIED = 3
 
 DESCRIPTION = """\
-Identify the tissue of a recording, without DDS. The pipeline is that of the live node, so the
-numbers are the same to the last bit. The command prints a table, or one object with --json. With
--o it also writes a bag with everything that the node would have published.
+Identify the tissue of a recording, without DDS. The pipeline is that of the
+live node, so the numbers are the same to the last bit. The command prints a
+table, or one object with --json. With -o it also writes a bag with everything
+that the node would have published.
 """
 
 EPILOG = """\

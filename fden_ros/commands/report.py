@@ -15,11 +15,12 @@ from fden_ros.commands.inputs import (
 )
 
 DESCRIPTION = """\
-Replay a recording and write a page about it: the stiffness first, then a table and a comparison
-of the contacts, with a map if there are positions. Each contact has force and depth, the fitted
-law with its band, the estimates as they converge, and the classification. The page says what
-the data cannot show. It is one file that loads nothing from a network, for light and dark
-screens and for print.
+Replay a recording and write a page about it: the stiffness first, then a table
+and a comparison of the contacts, with a map if there are positions. Each
+contact has force and depth, the fitted law with its band, the estimates as
+they converge, and the classification. The page says what the data cannot show.
+It is one file that loads nothing from a network, for light and dark screens
+and for print.
 """
 
 EPILOG = """\
@@ -27,7 +28,8 @@ examples:
   fden report palpation.mcap --config probe.yaml -o report.html
   fden report palpation.mcap --config probe.yaml        print only its first sentences
 
-For a table with one row per contact: fden batch palpation.mcap --config probe.yaml -o contacts.csv
+For a table with one row per contact: fden batch palpation.mcap --config
+probe.yaml -o contacts.csv
 """
 
 

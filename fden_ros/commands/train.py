@@ -12,9 +12,10 @@ from fden_ros.commands.inputs import parameters_of
 from fden_ros.errors import InputError
 
 DESCRIPTION = """\
-Learn a tissue library: mean and covariance of (ln G, ln Gn, alpha) of each class, without the
-stated error of each contact. TISSUE=TABLE names a table of fden batch (CSV) whose contacts are all
-on this tissue. Contacts that have not converged are left out.
+Learn a tissue library: mean and covariance of (ln G, ln Gn, alpha) of each
+class, without the stated error of each contact. TISSUE=TABLE names a table of
+fden batch (CSV) whose contacts are all on this tissue. Contacts that have not
+converged are left out.
 """
 
 EPILOG = """\
@@ -24,7 +25,8 @@ examples:
   fden train liver=liver.csv muscle=muscle.csv --config probe.yaml -o library.yaml
 Then state the library in probe.yaml: classifier: {library: library.yaml}
 
-Every estimate contains the estimator's prior, so make the prior of --config wide.
+Every estimate contains the estimator's prior, so make the prior of --config
+wide.
 """
 
 
