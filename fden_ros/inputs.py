@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import (
     NANOSECONDS,
     NumberOrVector,
     Position,
     Quaternion,
     Reason,
-    Sink,
     normalised,
 )
 from fden_ros.message_kinds import FORCES, PLACES, MessageKind, kind_of
@@ -59,8 +59,8 @@ class Inputs:
     Parameters
     ----------
     parameters : Parameters
-    sink : Sink
-        A pipeline, or what stands before it.
+    sink : Pipeline
+        Where the samples go.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Inputs:
         Those of the transforms that are used.
     """
 
-    def __init__(self, parameters: Parameters, sink: Sink) -> None:
+    def __init__(self, parameters: Parameters, sink: Pipeline) -> None:
         self._sink = sink
         force, displacement = parameters.force, parameters.displacement
         self._force_axis = unit_vector(force.axis)
@@ -209,7 +209,7 @@ class Inputs:
             )
 
 
-def inputs_of(parameters: Parameters, sink: Sink | Inputs) -> Inputs:
+def inputs_of(parameters: Parameters, sink: Pipeline | Inputs) -> Inputs:
     """Return what projects measurements for a sink, or what takes them itself."""
     return sink if isinstance(sink, Inputs) else Inputs(parameters, sink)
 

@@ -47,10 +47,6 @@ class Run:
     def stamps(self):
         return [(pair.stamp_ns - START) / MS for pair in self.pairs]
 
-    @property
-    def waiting(self):
-        return self.synchronizer.waiting
-
 
 def steps():
     """Steps between stamps [ns]: mostly sound ones, and everything that goes wrong."""
@@ -215,3 +211,11 @@ def test_one_of_a_hundred_samples_lost_at_2_khz_is_no_gap_and_20_ms_of_them_are(
     stamps = 500_000 * np.flatnonzero(kept) + 1
     assert not any(guard.step(int(stamp)) for stamp in stamps)
     assert guard.step(int(stamps[-1]) + 21_000_000) == 21_000_000
+
+
+def test_noise_is_no_spike_while_the_usual_change_is_hardly_known():
+    for seed in range(100):
+        run = Run()
+        for n, force in enumerate(np.random.default_rng(seed).standard_normal(200).tolist()):
+            run.both(START + n * MS, force)
+        assert not run.rejected

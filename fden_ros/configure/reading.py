@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.units import NOT_STATED, Unit, unit_of
 from fden_ros.core.arrays import Array
-from fden_ros.core.streams import NumberOrVector, Quaternion, Reason, Sink
+from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams import NumberOrVector, Quaternion, Reason
 from fden_ros.errors import InputError
 from fden_ros.inputs import TYPE_NAMES, Inputs
 from fden_ros.message_kinds import MessageKind
@@ -55,7 +56,7 @@ class _Vectors(Inputs):
     """Collects whole vectors and every joint, nothing projected."""
 
     def __init__(self, parameters: Parameters) -> None:
-        super().__init__(parameters, cast(Sink, self))
+        super().__init__(parameters, cast(Pipeline, self))
         self._takes_turn = True
         self.stamps: dict[str, list[int]] = {"force": [], "displacement": []}
         self.values: dict[str, list[Any]] = {"force": [], "displacement": []}

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.streams import Sink
+from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.inputs import (
     DAMAGED,
@@ -213,7 +213,7 @@ class BagSource:
         return self._inputs.displacement_frame if self._inputs is not None else ""
 
     def feed(
-        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+        self, sink: Pipeline | Inputs, before: Callable[[int, RawMessage | None], None]
     ) -> Iterator[int]:
         """Feed `sink` the messages in the order of their recording, and yield the steps done.
 
@@ -326,7 +326,7 @@ class RowSource:
         return int(self.columns[0].size)
 
     def feed(
-        self, sink: Sink | Inputs, before: Callable[[int, RawMessage | None], None]
+        self, sink: Pipeline | Inputs, before: Callable[[int, RawMessage | None], None]
     ) -> Iterator[int]:
         """Feed the rows in their order."""
         inputs = inputs_of(self.parameters, sink)

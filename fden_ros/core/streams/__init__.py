@@ -20,17 +20,18 @@ from fden_ros.core.streams.rotation import (
     normalised,
 )
 from fden_ros.core.streams.samples import (
+    CHUNK_NS,
     NANOSECONDS,
     Pair,
     Position,
     Reason,
-    Sink,
     lateral_distance,
 )
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
 
 __all__ = [
+    "CHUNK_NS",
     "MIN_STEP_NS",
     "NANOSECONDS",
     "USUAL_SAMPLES",
@@ -42,7 +43,6 @@ __all__ = [
     "Quaternion",
     "Reason",
     "Resolution",
-    "Sink",
     "StaticLinks",
     "StreamGuard",
     "SynchronizeConfig",

@@ -68,6 +68,7 @@ class Frames:
         self._links: dict[str, tuple[str, Join]] = {}
         self._force_frame: str | None = None
         self.is_known = False  #: whether each needed frame leads to the base
+        self._missing = ""  # one that does not
         #: The needed links, in order; empty until all are known, and where all are static.
         self._chain: dict[str, Join] = {}
         #: By a frame, its ancestors below the one that it has in common with the base, and the
@@ -80,23 +81,14 @@ class Frames:
         return list(self._chain.values())
 
     @property
-    def kept(self) -> int:
-        """How many transforms, and forces that wait for them, are kept."""
-        return sum(join.waiting for _, join in self._links.values())
-
-    @property
     def problem(self) -> str:
         """The problem where a frame does not lead to the base, in words; or empty."""
-        if self.is_known or self._force_frame is None:
-            return ""
-        root = self._ancestors(self._config.base)[-1]
-        missing = next((f for f in self._wanted() if self._ancestors(f)[-1] != root), "")
-        if not missing:
+        if not self._missing:
             return ""
         links = {**self._links, **self._statics}
         known = ", ".join(sorted({*links, *(parent for parent, _ in links.values())})) or "none"
         return (
-            f"no chain of transforms leads from {missing} to {self._config.base}: /tf and "
+            f"no chain of transforms leads from {self._missing} to {self._config.base}: /tf and "
             f"/tf_static name {known}; set frames.base and frames.probe to frames that are "
             "connected"
         )
@@ -105,10 +97,8 @@ class Frames:
         self, stamp_ns: int, parent: str, child: str, transform: Transform, *, is_static: bool
     ) -> str | None:
         """Add the place of a frame in its parent; return why it is rejected, or None."""
-        known, is_moving = self._parent_of(child), child in self._links
-        if parent == child or known not in (None, parent) or (is_static and is_moving):
-            return Reason.OTHER_PARENT
-        if not is_static and child in self._statics:
+        known, others = self._parent_of(child), self._links if is_static else self._statics
+        if parent == child or known not in (None, parent) or child in others:
             return Reason.OTHER_PARENT
         place, turn = transform
         try:
@@ -117,7 +107,7 @@ class Frames:
             return Reason.NON_FINITE
         if is_static:
             self._statics.setdefault(child, (parent, Transform(place, turn)))
-        elif not is_moving:
+        elif known is None:
             self._links[child] = parent, self._make_join()
         if known is None:
             self._resolve()
@@ -134,13 +124,12 @@ class Frames:
 
     # The chain
 
-    def _wanted(self) -> tuple[str, ...]:
-        force = self._force_frame or ""
-        return (force, self._config.probe) if self._config.moves_probe else (force,)
-
     def _ancestors(self, frame: str) -> list[str]:
-        """Return a frame, its parent and so on, up to the root."""
-        return chain_up(frame, self._parent_of)
+        """Return a frame, its parent and so on, up to the root; a ring ends where it closes."""
+        chain = [frame]
+        while (parent := self._parent_of(chain[-1])) is not None and parent not in chain:
+            chain.append(parent)
+        return chain
 
     def _parent_of(self, frame: str) -> str | None:
         link = self._links.get(frame) or self._statics.get(frame)
@@ -151,17 +140,17 @@ class Frames:
         if self.is_known or self._force_frame is None:
             return
         base = self._ancestors(self._config.base)
-        chains: dict[str, tuple[list[str], list[str]]] = {}
-        for frame in self._wanted():
+        wanted = [self._force_frame, self._config.probe]
+        for frame in wanted if self._config.moves_probe else wanted[:1]:
             own = self._ancestors(frame)
             common = next((ancestor for ancestor in own if ancestor in base), None)
             if common is None:
+                self._missing = frame
                 return
-            chains[frame] = own[: own.index(common)], base[: base.index(common)]
-        frames = dict.fromkeys(f for chain in chains.values() for part in chain for f in part)
-        self._chains = chains
+            self._chains[frame] = own[: own.index(common)], base[: base.index(common)]
+        frames = [f for chains in self._chains.values() for chain in chains for f in chain]
         self._chain = {frame: self._links[frame][1] for frame in frames if frame in self._links}
-        self.is_known = True
+        self.is_known, self._missing = True, ""
 
     # At an instant
 
@@ -169,17 +158,14 @@ class Frames:
         """Return the places of the joins' frames in their parents."""
         return {frame: one.transform for frame, one in zip(self._chain, matched, strict=True)}
 
-    def probe(self, moving: Moving) -> Transform:
-        """Return the place of the probe in the base."""
-        return self._in_base(self._config.probe, moving)
+    def probe(self, moving: Moving) -> tuple[Transform, float, float]:
+        """Return the place of the probe in the base, and its displacement [m].
 
-    def depth(self, probe: Transform) -> float:
-        """Return the displacement of a place of the probe [m]."""
-        return dot(self._config.displacement_axis, probe.translation)
-
-    def weight(self, probe: Transform) -> float:
-        """Return the tool's weight along the force's axis in the probe's own frame [N]."""
-        return self._config.tool.load(probe.rotation) if self._config.tool is not None else 0.0
+        Also return the tool's weight along the force's axis in the probe's own frame [N].
+        """
+        config, probe = self._config, self._in_base(self._config.probe, moving)
+        load = config.tool.load(probe.rotation) if config.tool is not None else 0.0
+        return probe, dot(config.displacement_axis, probe.translation), load
 
     def force_along(self, force: Vector, moving: Moving) -> float:
         """Return a force along the axis, less the tool's weight [N]."""
@@ -192,20 +178,12 @@ class Frames:
 
     def _in_base(self, frame: str, moving: Moving) -> Transform:
         """Return the place of a frame in the base."""
-        own, base = (self._up(chain, moving) for chain in self._chains[frame])
+        places = []
+        for chain in self._chains[frame]:
+            place = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+            for child in chain:
+                link = moving[child] if child in moving else self._statics[child][1]
+                place = link.then(place)
+            places.append(place)
+        own, base = places
         return base.inverse().then(own)
-
-    def _up(self, chain: list[str], moving: Moving) -> Transform:
-        found = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-        for child in chain:
-            link = moving[child] if child in moving else self._statics[child][1]
-            found = link.then(found)
-        return found
-
-
-def chain_up(frame: str, parent_of: Callable[[str], str | None]) -> list[str]:
-    """Return a frame, its parent and so on, up to the root; a ring ends where it closes."""
-    chain = [frame]
-    while (parent := parent_of(chain[-1])) is not None and parent not in chain:
-        chain.append(parent)
-    return chain

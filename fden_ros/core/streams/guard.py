@@ -9,43 +9,34 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-from fden_ros.core.streams.rotation import Quaternion, angle
-from fden_ros.core.streams.samples import NANOSECONDS, Position, Reason, Sample
+from fden_ros.core.streams.rotation import TOLERANCE, Quaternion, angle
+from fden_ros.core.streams.samples import CHUNK_NS, NANOSECONDS, Position, Reason, Sample
 
-#: A change is a whole number of steps when it is within this share of a step of it.
-_TOLERANCE = 0.01
 #: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
-#: A signal that changes by the same amount in 4 consecutive samples is a ramp without noise.
-_RAMP = 4
+#: Five samples in a row are not alike by chance. A signal that changes by the same amount in them
+#: is a ramp without noise. A force that repeats its value in them, and 5 times longer than ever
+#: before, is stuck, and dropped until it changes; unless its usual change is less than 5 of its
+#: quantisation steps: such a force stands still between two steps.
+_RUN = 5
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
 MIN_STEP_NS = 10_000
 #: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
 #: a jump of the clock; by less, a late sample.
 _BACKWARD_JUMP_NS = NANOSECONDS // 2
-#: A step longer than 10 usual ones is far, or than 1 s while these are not known: it waits for the
-#: next sample to confirm it, which follows within 1 s, 10 usual steps, or 10 times the step.
-_FAR_STEPS = 10.0
-#: 20 consecutive late samples, in order among themselves, are also a jump of the clock.
-_LATE_RUN = 20
+#: A step, or a change of the value, beyond 10 usual ones is far, a step also beyond 1 s while they
+#: are not known. It waits for the next sample to confirm it. After a far step this follows within
+#: 1 s, 10 usual steps, or 10 times the step. Since a stamp that is not far ahead makes 10 samples
+#: late, twice as many consecutive late ones, in order, are also a jump of the clock.
+_FAR = 10
 #: The means of the step between stamps and of the change between values are over 32 samples, and
 #: are used for tests from this number on.
 USUAL_SAMPLES = 32
-#: A value more than 12 mean changes away from its neighbours on both sides is a spike.
-_SPIKE_CHANGES = 12.0
 #: A change, or a step, enters its mean as at most 4 times the mean, so that no spike and no pause
 #: moves it.
 _MOST_GROWTH = 4.0
 #: A turn of a frame counts as the motion of a point this far from it [m].
 _LEVER = 0.1
-#: A force that repeats one value is stuck, and dropped until it changes, after 5 consecutive
-#: samples and 5 times its longest run before ...
-_STUCK = 5
-#: ... unless its usual change is less than 4 of its quantisation steps: such a force stands
-#: still between two steps.
-_FINE_STEPS = 4.0
-#: A step between pairs is a gap when it is far, and longer than 20 ms [ns].
-_GAP_NS = 20_000_000
 
 
 def force_at_limit(rejected: Counter[str]) -> int:
@@ -66,7 +57,7 @@ class Resolution:
     @property
     def step(self) -> float:
         """The step; 0: the signal is continuous, or not known."""
-        return self._step if self._alike < _RAMP else 0.0
+        return self._step if self._alike < _RUN else 0.0
 
     def add(self, value: float) -> None:
         """Add a value."""
@@ -80,40 +71,55 @@ class Resolution:
         if size <= _ROUNDING * max(abs(value), abs(last)):
             self._alike = 0
             return
-        is_like = abs(change - self._last_change) < _TOLERANCE * size
+        is_like = abs(change - self._last_change) < TOLERANCE * size
         self._alike = self._alike + 1 if is_like else 1
         self._last_change = change
         step = self._step or size
         self._step = min(size, step)
         ratio = max(size, step) / self._step
-        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > _TOLERANCE:
+        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > TOLERANCE:
             self._step, self._is_continuous = 0.0, True
 
 
-class UsualStep:
+class Usual:
+    """The mean of positive values, exponential over 32 of them."""
+
+    def __init__(self) -> None:
+        self.mean = 0.0
+        self.count = 0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there were enough values for tests."""
+        return self.count >= USUAL_SAMPLES
+
+    def add(self, value: float) -> None:
+        """Add a value."""
+        self.count += 1
+        mean = self.mean or value
+        growth = min(value, _MOST_GROWTH * mean) - mean
+        self.mean = mean + growth / min(self.count, USUAL_SAMPLES)
+
+
+class UsualStep(Usual):
     """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
 
-    The larger of the mean of all steps, exponential over 32 of them, and of the shorter one of
-    the last two.
+    The larger of the mean of all steps and of the shorter one of the last two.
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._last_ns = 0.0
-        self._mean_ns = 0.0
         self.value_ns = 0.0  #: 0 before the first step [ns]
-        self.count = 0
 
     def add(self, step_ns: float) -> None:
         """Add a step."""
-        self.count += 1
-        mean_ns = self._mean_ns or step_ns
-        growth_ns = min(step_ns, _MOST_GROWTH * mean_ns) - mean_ns
-        self._mean_ns = mean_ns + growth_ns / USUAL_SAMPLES
+        super().add(step_ns)
         self.add_pause(step_ns)
 
     def add_pause(self, step_ns: float) -> None:
         """Add a step that may be a pause: two consecutive ones are usual, the mean stays."""
-        self.value_ns = max(self._mean_ns, min(self._last_ns, step_ns))
+        self.value_ns = max(self.mean, min(self._last_ns, step_ns))
         self._last_ns = step_ns
 
 
@@ -131,16 +137,15 @@ class StreamGuard:
         self._limit, self._is_vector = limit, is_vector
         self._rejected, self._name = rejected, name
         self.epoch = self.epoch_start_ns = 0
-        self._newest_ns: int | None = None
-        self._newest_epoch = 0
+        self._newest: Sample | None = None
         self._held: Sample | None = None
         self._late_run = self._late_newest_ns = 0
         self._usual = UsualStep()
         self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
-        self._close_ns = 0
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: number of those samples
         self.too_close = 0  #: samples within 10 us of the last that are not copies of it
+        self.close_step = 0.0  #: of the newest of these [s]
 
     @property
     def accepted(self) -> int:
@@ -151,11 +156,6 @@ class StreamGuard:
     def usual_step(self) -> float:
         """Usual step between accepted stamps [s]."""
         return self._usual.value_ns / NANOSECONDS
-
-    @property
-    def close_step(self) -> float:
-        """Mean step of the stamps that were too close to the last [s]."""
-        return self._close_ns / max(self.too_close, 1) / NANOSECONDS
 
     def reject(self, reason: str) -> None:
         """Count one rejected sample."""
@@ -173,7 +173,11 @@ class StreamGuard:
         load: float = 0.0,
         turn: Quaternion | None = None,
     ) -> list[Sample]:
-        """Check a sample; return those accepted now: none, this one, or a held one and this."""
+        """Check a sample; return those accepted now: none, this one, or a held one and this.
+
+        A displacement has the `position` [m] and the `turn` of the probe where known, and as
+        `load` [N] what the sensor measures there without any contact.
+        """
         if not math.isfinite(value + load) or (
             position is not None and not all(map(math.isfinite, position))
         ):
@@ -191,29 +195,23 @@ class StreamGuard:
         usual_ns = self._usual.value_ns
         sample = Sample(self.epoch, stamp_ns, value, position, load, usual_ns, turn)
         in_time = self._in_order(sample) if self._held is None else self._after_held(sample)
-        if len(in_time) == 1:
-            return self._values.judge(in_time[0])
         return [one for sample in in_time for one in self._values.judge(sample)]
 
     def _take(self, *samples: Sample) -> tuple[Sample, ...]:
-        # A sample that begins an epoch has no step.
-        newest_ns = self._newest_ns if samples[0].epoch == self._newest_epoch else None
         for sample in samples:
-            if newest_ns is not None:
-                self._usual.add(float(sample.stamp_ns - newest_ns))
-            newest_ns = sample.stamp_ns
-        self._newest_ns, self._newest_epoch = newest_ns, self.epoch
+            # A sample that begins an epoch has no step.
+            if self._newest is not None and self._newest.epoch == sample.epoch:
+                self._usual.add(float(sample.stamp_ns - self._newest.stamp_ns))
+            self._newest = sample
         self._late_run = 0
         return samples
 
     def _in_order(self, sample: Sample) -> tuple[Sample, ...]:
-        if self._newest_ns is None:
+        if self._newest is None:
             return self._take(sample)
-        step = sample.stamp_ns - self._newest_ns
+        step = sample.stamp_ns - self._newest.stamp_ns
         # Accepted at once, a stray stamp a little ahead would make all later ones late.
-        usual_ns = self._usual.value_ns
-        least = NANOSECONDS if self._usual.count < USUAL_SAMPLES else 0.0
-        far = max(_FAR_STEPS * usual_ns, least)
+        far = max(_FAR * self._usual.value_ns, 0 if self._usual.is_known else NANOSECONDS)
         if MIN_STEP_NS <= step <= far:
             return self._take(sample)
         if step > far or step < -_BACKWARD_JUMP_NS:
@@ -223,25 +221,25 @@ class StreamGuard:
             self.reject(Reason.DUPLICATE_STAMP)
             if step > 0:
                 self.too_close += 1
-                self._close_ns += step
+                self.close_step = step / NANOSECONDS
             return ()
         is_in_order = sample.stamp_ns > self._late_newest_ns
-        self._late_run = self._late_run + 1 if is_in_order or self._late_run == 0 else 1
+        self._late_run = self._late_run + 1 if is_in_order else 1
         self._late_newest_ns = sample.stamp_ns
-        if self._late_run < _LATE_RUN:
+        if self._late_run < 2 * _FAR:
             self.reject(Reason.LATE_STAMP)
             return ()
         return self._take(self._next_epoch(sample))
 
     def _after_held(self, sample: Sample) -> tuple[Sample, ...]:
         held, self._held = self._held, None
-        assert held is not None and self._newest_ns is not None
-        is_ahead = held.stamp_ns > self._newest_ns
-        own_ns = _FAR_STEPS * (held.stamp_ns - self._newest_ns) if is_ahead else 0.0
-        far = max(NANOSECONDS, _FAR_STEPS * self._usual.value_ns, own_ns)
-        if MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far and (
-            is_ahead or sample.stamp_ns < self._newest_ns
-        ):
+        assert held is not None and self._newest is not None
+        newest_ns = self._newest.stamp_ns
+        is_ahead = held.stamp_ns > newest_ns
+        far = max(NANOSECONDS, _FAR * max(self._usual.value_ns, held.stamp_ns - newest_ns))
+        # What goes on from the newest sample, and not from one far behind it, is no jump back.
+        goes_on = is_ahead or sample.stamp_ns < newest_ns
+        if goes_on and MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far:
             if is_ahead:
                 return self._take(held, sample)
             first = self._next_epoch(held)
@@ -265,31 +263,28 @@ class ValueGuard:
         self._reject, self._limits_runs, self._is_vector = reject, limits_runs, is_vector
         self._last: Sample | None = None
         self._held: Sample | None = None
-        self._usual_change = 0.0
-        self._changes = 0
+        self._usual = Usual()  # only of changes: a coarse signal stands still most of the time
         self._run = self._longest_run = 1
         self._resolution = Resolution()
 
     @property
-    def is_stuck(self) -> bool:
-        """Whether the signal repeats a value 5 times longer than it did before."""
+    def _is_stuck(self) -> bool:
         return (
             self._limits_runs
-            and self._run >= _STUCK * max(1, self._longest_run)
-            and self._changes >= USUAL_SAMPLES
-            and self._usual_change >= _FINE_STEPS * self._resolution.step
+            and self._run >= _RUN * self._longest_run
+            and self._usual.is_known
+            and self._usual.mean >= _RUN * self._resolution.step
         )
 
     def judge(self, sample: Sample) -> list[Sample]:
         """Return the samples that are now known to be good.
 
-        A value more than 12 mean changes from the last is held back: the next one distinguishes a
+        A value more than 10 mean changes from the last is held back: the next one distinguishes a
         spike from a step.
         """
         last, held, self._held = self._last, self._held, None
         if last is None or last.epoch != sample.epoch:
-            self._last = sample
-            self._run = 1
+            self._last, self._run = sample, 1
             return [held, sample] if held is not None else [sample]
         change = self._distance(last, sample)
         if held is not None:
@@ -297,7 +292,7 @@ class ValueGuard:
                 first = self._follow(self._distance(last, held), held)
                 return [*first, *self._follow(self._distance(held, sample), sample)]
             self._reject(Reason.SPIKE)
-        if self._changes >= USUAL_SAMPLES and change > _SPIKE_CHANGES * self._usual_change > 0.0:
+        if self._usual.is_known and change > _FAR * self._usual.mean:
             self._held = sample
             return []
         return self._follow(change, sample)
@@ -306,17 +301,13 @@ class ValueGuard:
         self._last = sample
         self._resolution.add(sample.value)
         if change > 0.0:
-            self._changes += 1
-            # Only of changes: a coarse signal stands still most of the time.
-            usual = self._usual_change or change
-            growth = min(change, _MOST_GROWTH * usual) - usual
-            self._usual_change = usual + growth / USUAL_SAMPLES
-            if self._run > self._longest_run and not self.is_stuck:
-                self._longest_run = self._run
+            self._usual.add(change)
+            if not self._is_stuck:
+                self._longest_run = max(self._longest_run, self._run)
             self._run = 1
         else:
             self._run += 1
-            if self.is_stuck:
+            if self._is_stuck:
                 self._reject(Reason.STUCK)
                 return []
         step = self._resolution.step
@@ -332,7 +323,7 @@ class ValueGuard:
 
 
 class GapGuard:
-    """Find gaps in a stream that has passed the other guards."""
+    """Find gaps in a stream that has passed the other guards: far steps that are not brief."""
 
     def __init__(self) -> None:
         self._newest_ns: int | None = None
@@ -345,7 +336,7 @@ class GapGuard:
             return 0
         step_ns = stamp_ns - previous_ns
         usual_ns = self._usual.value_ns
-        if usual_ns and step_ns > max(_FAR_STEPS * usual_ns, _GAP_NS):
+        if usual_ns and step_ns > max(_FAR * usual_ns, CHUNK_NS):
             self._usual.add_pause(float(step_ns))
             return step_ns
         self._usual.add(float(step_ns))

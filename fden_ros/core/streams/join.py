@@ -98,11 +98,6 @@ class Join:
         self._following: deque[Sample] = deque()
         self._behind_since_ns: int | None = None
 
-    @property
-    def waiting(self) -> int:
-        """How many samples of both streams are kept."""
-        return len(self._leading) + len(self._following)
-
     def lead(self, sample: Sample, matched: Matched) -> None:
         """Add an accepted sample of the leading stream, and its matches so far."""
         self._leading.append((sample, matched))
@@ -133,31 +128,22 @@ class Join:
             while len(following) > 1 and following[1][:2] <= key:
                 following.popleft()
             before = following[0]
-            at = before[:2]
-            if at > key:
+            if before[:2] > key:
                 self._reject_oldest(self._unpaired)
                 self._join_epoch(lead, before)
-            elif at == key:
-                leading.popleft()
-                self._on_match(lead, (*matched, Around(before, before, 0.0)))
-            elif len(following) == 1:
+                continue
+            if before[:2] < key and len(following) == 1:
                 return
+            after = following[1] if before[:2] < key else before
+            gap_ns = after.stamp_ns - before.stamp_ns
+            if before.epoch != after.epoch:
+                self._reject_oldest(self._unpaired)
+            elif gap_ns > max(self._max_gap_ns, _GAP_STEPS * lead.usual_ns):
+                self._reject_oldest(self._gap)
             else:
-                self._match_between(lead, matched, before, following[1])
-
-    def _match_between(
-        self, lead: Sample, matched: Matched, before: Sample, after: Sample
-    ) -> None:
-        if before.epoch != lead.epoch or after.epoch != lead.epoch:
-            self._reject_oldest(self._unpaired)
-            return
-        gap_ns = after.stamp_ns - before.stamp_ns
-        if gap_ns > self._max_gap_ns and gap_ns > _GAP_STEPS * lead.usual_ns:
-            self._reject_oldest(self._gap)
-            return
-        self._leading.popleft()
-        fraction = (lead.stamp_ns - before.stamp_ns) / gap_ns
-        self._on_match(lead, (*matched, Around(before, after, fraction)))
+                leading.popleft()
+                fraction = (lead.stamp_ns - before.stamp_ns) / max(gap_ns, 1)
+                self._on_match(lead, (*matched, Around(before, after, fraction)))
 
     def _join_epoch(self, lead: Sample, follower: Sample) -> None:
         """Let the leading stream join an epoch that only the other entered, after a window."""

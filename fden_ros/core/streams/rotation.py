@@ -13,8 +13,9 @@ Vector = tuple[float, float, float]
 NumberOrVector = float | Vector
 Quaternion = tuple[float, float, float, float]
 
-#: A quaternion whose length differs from 1 by more than this was never set, or is damaged.
-_UNIT_TOLERANCE = 0.01
+#: Part by which a measured number may differ from one that it stands for. A quaternion whose
+#: length differs from 1 by more was never set, or is damaged.
+TOLERANCE = 0.01
 
 
 class Transform(NamedTuple):
@@ -23,15 +24,11 @@ class Transform(NamedTuple):
     translation: Vector  #: [m]
     rotation: Quaternion
 
-    def apply(self, point: Vector) -> Vector:
-        """Return a point of the frame [m] in its parent."""
-        x, y, z = rotate(self.rotation, point)
-        a, b, c = self.translation
-        return a + x, b + y, c + z
-
     def then(self, child: Transform) -> Transform:
         """Return where a child of this frame is in this one's parent."""
-        return Transform(self.apply(child.translation), multiply(self.rotation, child.rotation))
+        x, y, z = rotate(self.rotation, child.translation)
+        a, b, c = self.translation
+        return Transform((a + x, b + y, c + z), multiply(self.rotation, child.rotation))
 
     def inverse(self) -> Transform:
         """Return where the parent is in the frame."""
@@ -49,7 +46,7 @@ def normalised(quaternion: Quaternion) -> Quaternion:
         If its length differs from 1 by more than 0.01.
     """
     length = math.hypot(*quaternion)
-    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
+    if not abs(length - 1.0) <= TOLERANCE:
         raise ValueError(f"the quaternion {quaternion} has length {length:g}, must be 1")
     x, y, z, w = (part / length for part in quaternion)
     return x, y, z, w

@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fden_ros.core.streams.rotation import Quaternion, Vector
 
 #: In a second.
 NANOSECONDS = 1_000_000_000
+#: 20 ms [ns]: the force in the air is averaged over chunks of at least this time. Samples that are
+#: missing for less are no gap.
+CHUNK_NS = 20_000_000
 
 Position = Vector
 
@@ -65,45 +68,3 @@ def lateral_distance(axis: Position, a: Position, b: Position) -> float:
     offset = [q - p for p, q in zip(a, b, strict=True)]
     along = sum(o * n for o, n in zip(offset, axis, strict=True))
     return math.dist(offset, [along * n for n in axis])
-
-
-class Sink(Protocol):
-    """A receiver of samples: a pipeline, or a stage before it.
-
-    A class that inherits from it ignores what it has no method of its own for, but force and
-    displacement. Forces are in N, displacements, positions and translations in m.
-    """
-
-    def add_force(self, stamp_ns: int, force: float) -> None:
-        """Add a force."""
-
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        """Add a displacement, the tool's weight [N]; position and turn where known."""
-
-    def add_force_vector(self, stamp_ns: int, frame: str, force: Vector) -> None:
-        """Add a force, or torque [N m], in a moving frame."""
-        return
-
-    def add_transform(
-        self,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        translation: Vector,
-        rotation: Quaternion,
-        *,
-        is_static: bool,
-    ) -> None:
-        """Add the place of a frame in its parent, and its rotation."""
-        return
-
-    def reject(self, stream: str, reason: str) -> None:
-        """Count a sample that could not be read."""
-        return

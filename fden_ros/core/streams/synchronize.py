@@ -12,21 +12,17 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from fden_ros.core.parameter import TINY, parameter
 from fden_ros.core.streams.frames import Frames, FramesConfig, StaticLinks
-from fden_ros.core.streams.guard import StreamGuard
+from fden_ros.core.streams.guard import USUAL_SAMPLES, StreamGuard
 from fden_ros.core.streams.join import Join, Matched
-from fden_ros.core.streams.rotation import Quaternion, Transform, Vector
+from fden_ros.core.streams.rotation import Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
 from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
-
-#: The noise of the motion is measured over the last 256 samples.
-_NOISE_SAMPLES = 256
-#: Variance of the rounding, in squares of a step: four times that of a single value, because the
-#: error persists over several samples while the probe moves (six in a press at 4 mm/s by an
-#: encoder of 50 um at 500 Hz).
-_ROUNDING_VARIANCE = 4.0 / 12.0
 
 
 @dataclass(frozen=True)
@@ -103,16 +99,15 @@ class Synchronizer:
         self._moves_probe = frames is not None and frames.moves_probe
         #: Samples of the motion that pairs have passed; and those of the newest pair: of its
         #: stream, the last before it, and the motion there.
-        self._moved: deque[Sample] = deque(maxlen=_NOISE_SAMPLES)
+        self._moved: deque[Sample] = deque(maxlen=8 * USUAL_SAMPLES)
         self._newest: tuple[Sample, Sample] | None = None
-        self._held: deque[Sample] = deque()  # forces whose frame is not known
+        self._held: deque[Sample] = deque()  # forces, until all frames are known
         self.frames: Frames | None = None
         if frames is not None:
-            known = statics if statics is not None else StaticLinks()
-            reasons = Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP
-            self.frames = Frames(frames, lambda: self._join("transform", *reasons), known)
-        #: In the order in which a force waits for them.
-        self._joins: list[Join] = [] if self._moves_probe else [self._displacements]
+            links = Reason.NO_TRANSFORM, Reason.TRANSFORM_GAP
+            known = {} if statics is None else statics
+            self.frames = Frames(frames, lambda: self._join("transform", *links), known)
+        self._joins = [self._displacements]  # in the order in which a force waits for them
 
     def _join(self, name: str, unpaired: str, gap: str, *, is_vector: bool = True) -> Join:
         """Return the join of forces with a stream whose stamps lag, such as a moving link's."""
@@ -121,19 +116,28 @@ class Synchronizer:
         times = self._config.max_gap, self._config.max_wait, self._config.displacement_delay
         return Join(times, self.force_guard, guard, self._advance, (unpaired, gap))
 
-    @property
-    def waiting(self) -> int:
-        """How many samples of all streams wait for others."""
-        kept = self.frames.kept if self.frames is not None else 0
-        return kept + len(self._held) + self._displacements.waiting
-
     def path_noise(self) -> float:
         """Return the noise of the motion: variance per sample times the time between [m^2 s].
 
         From the distances of the last 256 samples from the lines between their neighbours, or
         from the steps in which they come; 0 while there are fewer than 32.
         """
-        return _noise_of(self._moved)
+        samples = self._moved
+        if len(samples) < USUAL_SAMPLES:
+            return 0.0
+        time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
+        value = np.array([sample.value for sample in samples])
+        step = np.diff(time) / NANOSECONDS
+        fraction = step[:-1] / (step[:-1] + step[1:])
+        apart = value[1:-1] - (1.0 - fraction) * value[:-2] - fraction * value[2:]
+        scale = np.sqrt(1.0 + fraction**2 + (1.0 - fraction) ** 2)
+        # The median of a normal variable's magnitude is 0.6745 deviations.
+        sd = float(np.median(np.abs(apart / scale))) / 0.6745
+        # Four times the variance of a single rounding error, a twelfth: the error persists over
+        # several samples while the probe moves (six in a press at 4 mm/s by an encoder of 50 um
+        # at 500 Hz).
+        rounding = 4.0 / 12.0 * samples[-1].resolution ** 2
+        return max(sd**2, rounding) * float(np.median(step))
 
     def add_force(self, stamp_ns: int, force: float) -> None:
         """Add a force sample [N]."""
@@ -155,40 +159,30 @@ class Synchronizer:
         )
         if problem is not None:
             self._rejected[f"transform.{problem}"] += 1
-        self._release(self.frames)
+        self._release()
 
-    def add_displacement(
-        self,
-        stamp_ns: int,
-        displacement: float,
-        position: Position | None = None,
-        load: float = 0.0,
-        turn: Quaternion | None = None,
-    ) -> None:
-        """Add a displacement sample [m], and the probe's position [m] and turn where known.
-
-        `load` [N] is what the sensor measures there without any contact.
-        """
-        self._displacements.follow(stamp_ns, displacement, position, load, turn)
+    def add_displacement(self, stamp_ns: int, displacement: float, *more: Any) -> None:
+        """Add a displacement sample [m], and `more` as :meth:`StreamGuard.accept` takes it."""
+        self._displacements.follow(stamp_ns, displacement, *more)
 
     def _lead(self, forces: list[Sample], frame: str = "") -> None:
         for force in forces:
-            if self.frames is None:
-                self._displacements.lead(force, ())
-                continue
-            self.frames.name_force(frame)
+            if self.frames is not None:
+                self.frames.name_force(frame)
             self._held.append(force)
-            self._release(self.frames)
+            self._release()
             oldest_ns = force.stamp_ns - round(self._config.max_wait * NANOSECONDS)
             while self._held and self._held[0][:2] < (force.epoch, oldest_ns):
                 self._held.popleft()
                 self.force_guard.reject(Reason.NO_TRANSFORM)
 
-    def _release(self, frames: Frames) -> None:
+    def _release(self) -> None:
         """Release the held forces, once all frames are known."""
-        if not frames.is_known:
-            return
-        self._joins = [*([] if self._moves_probe else [self._displacements]), *frames.joins]
+        if self.frames is not None:
+            if not self.frames.is_known:
+                return
+            own = [] if self._moves_probe else [self._displacements]
+            self._joins = [*own, *self.frames.joins]
         while self._held:
             self._advance(self._held.popleft(), ())
 
@@ -201,25 +195,27 @@ class Synchronizer:
 
     def _pair(self, force: Sample, matched: Matched) -> Pair:
         epoch, stamp_ns, value, vector, *_ = force
-        frames, path = self.frames, self._path
+        frames, path, tilt = self.frames, self._path, 0.0
         links = matched if self._moves_probe else matched[1:]
         moving = frames.moving(links) if frames is not None else {}
+        if frames is not None and self._moves_probe:
+            probe, way, load = frames.probe(moving)
+            position: Position | None = probe.translation
+            if path is not None:
+                way, tilt = path.add(probe)
+            if links:
+                self._pass(links[-1].before, Sample(epoch, stamp_ns, way))
+        else:
+            around = matched[0]
+            way, position, load = around.value, around.position, around.load
+            if path is not None:
+                way, tilt = path.add(around.transform)
+            self._pass(around.before, around.before)
         if frames is not None and vector is not None:
             value = frames.force_along(vector, moving)
-        if frames is None or not self._moves_probe:
-            around = matched[0]
-            self._pass(around.before, around.before)
-            way, tilt = (around.value, 0.0) if path is None else path.add(around.transform)
-            if vector is None:
-                value -= around.load
-            return Pair(epoch, stamp_ns, value, way, around.position, tilt)
-        probe = frames.probe(moving)
-        way, tilt = (frames.depth(probe), 0.0) if path is None else path.add(probe)
-        if links:
-            self._pass(links[-1].before, Sample(epoch, stamp_ns, way))
-        if path is not None:
-            value -= frames.weight(probe)
-        return Pair(epoch, stamp_ns, value, way, probe.translation, tilt)
+        else:
+            value -= load
+        return Pair(epoch, stamp_ns, value, way, position, tilt)
 
     def _pass(self, before: Sample, moved: Sample) -> None:
         """Keep one sample of the motion for each of its stream, once a pair comes after it."""
@@ -229,20 +225,3 @@ class Synchronizer:
         if last is not None:
             self._moved.append(last[1])
         self._newest = before, moved
-
-
-def _noise_of(samples: deque[Sample]) -> float:
-    if len(samples) < _NOISE_SAMPLES // 8:
-        return 0.0
-    import numpy as np  # only here: readers of recordings import this package without numpy
-
-    time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
-    value = np.array([sample.value for sample in samples])
-    step = np.diff(time) / NANOSECONDS
-    fraction = step[:-1] / (step[:-1] + step[1:])
-    apart = value[1:-1] - (1.0 - fraction) * value[:-2] - fraction * value[2:]
-    scale = np.sqrt(1.0 + fraction**2 + (1.0 - fraction) ** 2)
-    # The median of a normal variable's magnitude is 0.6745 deviations.
-    sd = float(np.median(np.abs(apart / scale))) / 0.6745
-    rounding = _ROUNDING_VARIANCE * samples[-1].resolution ** 2
-    return max(sd**2, rounding) * float(np.median(step))
