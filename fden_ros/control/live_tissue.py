@@ -9,6 +9,7 @@ a closed loop can be simulated without ROS and by the same rules.
 
 from __future__ import annotations
 
+import copy
 import enum
 import math
 import threading
@@ -73,12 +74,8 @@ class Refusal:
     flags: Flag = Flag.NONE  #: those that make an estimate unreliable
 
     def __str__(self) -> str:
-        return f"{self.cause.value} ({', '.join(self.names)})" if self.flags else self.cause.value
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the flags."""
-        return tuple(str(flag.name) for flag in Flag if flag & self.flags)
+        names = ", ".join(str(flag.name) for flag in Flag if flag & self.flags)
+        return f"{self.cause.value} ({names})" if names else self.cause.value
 
 
 class Stiffness(NamedTuple):
@@ -145,7 +142,9 @@ class LiveTissue:
         """Add an estimate that arrived at `now`."""
         now = _time(now)
         with self._lock:
-            if self._state is not None and _started_again(self._state, state):
+            # Where counts or stamps begin anew, the identifier has.
+            order = [(s.contact_id, s.site_id, s.stamp_ns) for s in (self._state or state, state)]
+            if any(new < old for old, new in zip(*order, strict=True)):
                 self.restarts += 1
                 self._least_delay = math.inf
                 self._forget()
@@ -230,7 +229,7 @@ class LiveTissue:
             return Predictor(
                 self._geometry,
                 reading.estimate,
-                self._memory.copy(),
+                copy.deepcopy(self._memory),
                 innovation.variance if innovation is not None else 0.0,
                 self._uncertainty,
             )
@@ -253,9 +252,10 @@ class LiveTissue:
             return Cause.REJECTED
         if state.status in _BY_STATUS:
             return _BY_STATUS[state.status]
-        if _is_known(state):
-            return None
         own = state.estimate
+        has_content = own and state.apparent_stiffness and state.signals
+        if state.status is Status.CONVERGED and has_content:
+            return None
         is_linear = own is not None and own.knows(0) and not own.determines(1)
         return Cause.NOT_OBSERVABLE if is_linear else Cause.NOT_CONVERGED
 
@@ -291,32 +291,15 @@ class LiveTissue:
         signals, estimate = state.signals, state.estimate
         if signals is None or not in_contact:
             self._peak_stress = 0.0
-            self._memory.rest(step)
+            self._memory.press(step, 0.0, 0.0)
             return
         self._peak_stress = max(self._peak_stress, signals.stress)
         is_unloaded = signals.stress <= _UNLOADED_PART * self._peak_stress
         if is_unloaded and estimate and self._memory.is_free(step, signals.strain, estimate):
-            self._memory.rest(step)
+            self._memory.press(step, 0.0, 0.0)
         else:
             self._memory.press(step, signals.strain, signals.stress)
 
 
 def _time(now: float | None) -> float:
     return time.monotonic() if now is None else now
-
-
-def _is_known(state: TissueState) -> bool:
-    """Return whether G and Gn have converged, with the content of a reading."""
-    return (
-        state.status is Status.CONVERGED
-        and state.estimate is not None
-        and state.estimate.converged
-        and state.apparent_stiffness is not None
-        and state.signals is not None
-    )
-
-
-def _started_again(before: TissueState, after: TissueState) -> bool:
-    """Return whether the counts or the stamps began anew."""
-    names = ("contact_id", "site_id", "stamp_ns")
-    return any(getattr(after, name) < getattr(before, name) for name in names)

@@ -23,7 +23,6 @@ of the loading, k the stiffness against the motion of the surface, c the stress 
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass
 
@@ -68,38 +67,21 @@ class Prediction:
         return self.value - deviations * self.sd, self.value + deviations * self.sd
 
 
-class TissueMemory:
+class TissueMemory(StressMoments):
     """The stress history of a place, in constant memory; `strain` [1], `stress` [Pa] now."""
 
-    def __init__(self) -> None:
-        self._moments = StressMoments()
-        self.strain = self.stress = 0.0
-
-    @property
-    def moments(self) -> Array:
-        """Exponential moments of the stress [Pa s], shape (RATE_COUNT,)."""
-        return self._moments.values
-
-    def copy(self) -> TissueMemory:
-        """Return a copy of the present memory."""
-        own = copy.copy(self)
-        own._moments = copy.copy(self._moments)
-        return own
+    strain = stress = 0.0
 
     def press(self, step: float, strain: float, stress: float) -> None:
-        """Add a sample in contact, `step` seconds after the last: strain [1] and stress [Pa]."""
-        self._moments.add(step, self.stress, stress)
+        """Add a sample `step` seconds after the last: strain [1] and stress [Pa], 0 in the air."""
+        self.add(step, self.stress, stress)
         self.strain, self.stress = strain, stress
-
-    def rest(self, step: float) -> None:
-        """Add `step` seconds in the air."""
-        self.press(step, 0.0, 0.0)
 
     def is_free(self, step: float, strain: float, estimate: Estimate) -> bool:
         """Whether the tissue would have to pull at the probe `step` seconds from the present."""
         decay, gain = passed(step, self.stress, 0.0)
         weights = memory_weights(estimate.fractional_order)[:RATE_COUNT]
-        return estimate.is_above_surface(strain, float(weights @ (decay * self.moments + gain)))
+        return estimate.is_above_surface(strain, float(weights @ (decay * self.values + gain)))
 
 
 @dataclass(frozen=True)
@@ -164,8 +146,8 @@ class Predictor:
         pairs = zip(linear.tolist(), nonlinear.tolist(), strict=True)
         wanted = np.array([elastic_responses(strains, g, gn).value for g, gn in pairs])
         stress = np.full(len(parameters), self.memory.stress)
-        moments = np.tile(self.memory.moments, (len(parameters), 1))
-        wanted += (slow @ self.memory.moments + fast * stress - wanted[:, 0] + offsets)[:, None]
+        moments = np.tile(self.memory.values, (len(parameters), 1))
+        wanted += (slow @ self.memory.values + fast * stress - wanted[:, 0] + offsets)[:, None]
         found = np.empty((len(parameters), steps.size))
         for k, step in enumerate(steps.tolist()):
             decay, gain = passed(step, stress[:, None], 0.0)
