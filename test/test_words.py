@@ -38,7 +38,8 @@ from fden_ros.core.outputs import (
     Status,
     TissueState,
 )
-from fden_ros.core.stiffness import MeasuredSlope, Slopes, apparent_stiffness_of
+from fden_ros.core.report import apparent_stiffness_of
+from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.offline.advice import findings, shortfall
 from fden_ros.offline.rows import CORRELATIONS, contact_row
 from fden_ros.parameters import check, pipeline_config

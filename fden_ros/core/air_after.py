@@ -9,14 +9,12 @@ import math
 from typing import NamedTuple
 
 from fden_ros.core.arrays import NOT_BY_CHANCE
-from fden_ros.core.contact import SLOW_NS, Onset
+from fden_ros.core.contact import BRIEF, CHUNK_SAMPLES, SLOW_NS, Onset
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has come back above the contact point
-#: [ns]: adhesion is over by then, and a creeping sensor has hardly recovered.
-_SETTLING_NS, _WINDOW_NS = 200_000_000, 500_000_000
-#: At least this number of samples is averaged.
-_LEAST_SAMPLES = 12
+#: [s]: adhesion is over by then, and a creeping sensor has hardly recovered.
+_SETTLING = 0.2
 
 
 class AirChange(NamedTuple):
@@ -57,7 +55,7 @@ class AirAfter:
     @property
     def _end_ns(self) -> int:
         """When the averaging ends [ns]; 0: it has not begun."""
-        return 0 if self._behind_ns is None else self._behind_ns + _WINDOW_NS
+        return 0 if self._behind_ns is None else self._behind_ns + round(BRIEF * NANOSECONDS)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether the contact is to be judged at a stamp: a slow one in this air is then known."""
@@ -76,16 +74,16 @@ class AirAfter:
             return
         if self._behind_ns is None:
             self._behind_ns = pair.stamp_ns
-        elapsed_ns = pair.stamp_ns - self._behind_ns
-        self._is_complete = elapsed_ns > _WINDOW_NS
-        if _SETTLING_NS <= elapsed_ns <= _WINDOW_NS:
+        elapsed = (pair.stamp_ns - self._behind_ns) / NANOSECONDS
+        self._is_complete = elapsed > BRIEF
+        if _SETTLING <= elapsed <= BRIEF:
             self._size += 1
             self._sum += pair.force
 
     def change(self) -> AirChange | None:
         """Return the change in the air; None: too few samples."""
         onset = self._onset
-        if not self._is_complete or self._size < _LEAST_SAMPLES:
+        if not self._is_complete or self._size < CHUNK_SAMPLES:
             return None
         elapsed = (self._end_ns - onset.samples[0].stamp_ns) / NANOSECONDS
         return AirChange(

@@ -64,8 +64,7 @@ class ContactSession:
     def forget(self, *, keeps_contact: bool = False) -> None:
         """Reset the sites, and the air's force; ids are kept.
 
-        `keeps_contact`: a detector in contact waits for the release, and keeps the air's force
-        until there is air again.
+        `keeps_contact`: a detector in contact waits for the release.
         """
         self._sites.forget()
         self._contact: Contact | None = None  # the newest
@@ -74,8 +73,7 @@ class ContactSession:
         self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
-        if not (keeps_contact and self._detector.in_contact):
-            self._detector.reset()
+        self._detector.reset(keeps_contact=keeps_contact)
 
     @property
     def site_count(self) -> int:

@@ -10,16 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fden_ros.core.contact import SLIGHT, Onset
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import Geometry, StressMemory, apparent_stiffness_factor, elastic_responses
 
-#: The probe meets the tissue above this multiple of the release force and leaves it below 1,
-#: so that noise does neither.
-_CLEAR = 2.0
 #: A probe has moved back, or in again, by at least this part of its compression.
 _RETREAT = 0.02
-#: The contact of a round probe shrinks after a retract by this part of the deepest compression.
-_SHRINKING = 0.05
 
 
 class KnownTissue(NamedTuple):
@@ -54,11 +50,12 @@ class LiftOff:
     The first touch of a site shows the origin, so the law holds from the origin on. Later touches
     meet a surface that still recovers.
 
-    The probe is no longer pressing below `release_force` [N]; `is_first`: of the site.
+    The probe meets the tissue above the clear force of the `onset`, and leaves it below that of a
+    release, so that noise does neither; `is_first`: of the site.
     """
 
-    def __init__(self, release_force: float, stress_per_force: float, *, is_first: bool) -> None:
-        self._release_force, self._clear = release_force, _CLEAR * release_force
+    def __init__(self, onset: Onset, stress_per_force: float, *, is_first: bool) -> None:
+        self._release_force, self._clear = onset.release_force, onset.clear_force
         self._stress_per_force = stress_per_force
         self._is_untouched = is_first
         self._is_free = True
@@ -106,7 +103,7 @@ class LiftOff:
         relation, and so the law, holds while the contact grows (T. C. T. Ting, Journal of Applied
         Mechanics 33, 845, 1966): with the retract G was 20 % off.
         """
-        return compression < (1.0 - _SHRINKING) * self._deepest
+        return compression < (1.0 - SLIGHT) * self._deepest
 
     def _is_hidden_free(self, step: float, compression: float, known: KnownTissue) -> bool:
         """Whether, by the law, the tissue is off the probe where noise hides the force.

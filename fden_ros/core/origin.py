@@ -12,14 +12,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact import Onset
+from fden_ros.core.contact import CHUNK_SAMPLES, Onset
 from fden_ros.core.streams import Pair
 
 #: The surface found at the touch starts the estimator. Its standard deviation is multiplied by
 #: this, since the estimator uses those samples again.
 ORIGIN_WIDENING = 3.0
-#: The force at a touch is the mean of this number of samples.
-_DETECTED = 3
 
 
 def origin_of(onset: Onset, config: PipelineConfig) -> tuple[float, float]:
@@ -46,7 +44,7 @@ def _hidden_depth(onset: Onset, config: PipelineConfig) -> float:
         return 0.0
     prior = config.estimator.prior
     gn, sd = prior.nonlinear_stiffness, prior.linear_stiffness_log_sd
-    force = float(np.mean([pair.force for pair in onset.samples[-_DETECTED:]])) - onset.bias
+    force = float(np.mean([pair.force for pair in onset.samples[-CHUNK_SAMPLES:]])) - onset.bias
     stress = max(force * config.geometry.stress_per_force, sys.float_info.min)
     above = math.log(stress * gn / prior.linear_stiffness)
     square = max(above, 0.0) ** 2

@@ -56,9 +56,8 @@ _NONLINEAR_DEVIATIONS = 2.0
 #: A contact is judged before its end from this strain on, which a press usually has: below it the
 #: origin matters.
 _LEAST_STRAIN = 0.05
-#: A probe is askew from this angle against the surface's normal [rad]: 5 degrees, of which the
-#: cosine is 0.996.
-_TILTED = 0.087
+#: A probe is askew from this angle against the surface's normal [rad]; its cosine is 0.996.
+_TILTED = math.radians(5.0)
 #: Samples farther apart than this are slow; no force sensor has them closer than this [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
 #: The strain is judged anew when it has grown by this factor.

@@ -5,19 +5,22 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fden_ros.core.block import BlockSums, ContactSample, PhaseMeter
 from fden_ros.core.classification import Answer, Labeller, Labelling
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import Onset
-from fden_ros.core.estimation import Estimate
+from fden_ros.core.estimation import Estimate, log_stiffness
+from fden_ros.core.law import ApparentStiffness, Geometry, log_stiffness_at
 from fden_ros.core.oscillation import ComplexModulusMeter
 from fden_ros.core.outputs import (
     WITHHELD,
-    ApparentStiffness,
     Classification,
     ContactSummary,
     DynamicModulus,
@@ -32,8 +35,10 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site
-from fden_ros.core.stiffness import apparent_stiffness_of
 from fden_ros.core.streams import NANOSECONDS, force_at_limit
+
+#: Largest deviation of ln N/m by the law.
+_MOST_SPREAD = 0.5
 
 
 @dataclass(frozen=True)
@@ -278,3 +283,27 @@ class Account:
             return found
         self._common.labeller.forget(self._site.site_id)
         return replace(found, classes=None, decided=None, comparison=None)
+
+
+def apparent_stiffness_of(
+    estimate: Estimate | None, geometry: Geometry, u: float | None, stress: float, time: float
+) -> ApparentStiffness | None:
+    """Return N/m at an indentation ratio u [1] and stress [Pa] for a motion of `time` seconds.
+
+    None while it is not known to half of its value, or the estimator has not settled.
+    """
+    if estimate is None or u is None or not estimate.is_settled:
+        return None
+    if estimate.small_motions:
+        found = log_stiffness(estimate.small_motions, u, stress, time)
+    else:
+        covariance = np.zeros((4, 4))
+        covariance[:3, :3] = estimate.covariance
+        covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
+        covariance[3, 3] = estimate.contact_point_sd**2
+        own = u - estimate.contact_point
+        found = log_stiffness_at(estimate.mean, covariance, geometry, own, time)
+    if found is None or found[1] > _MOST_SPREAD**2 or found[0] > 50.0:
+        return None
+    value = math.exp(found[0])
+    return ApparentStiffness(value, value * math.sqrt(found[1]), time)

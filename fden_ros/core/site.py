@@ -14,7 +14,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact import Onset
+from fden_ros.core.contact import BRIEF, Onset
 from fden_ros.core.estimation import (
     Budget,
     Estimate,
@@ -36,9 +36,6 @@ from fden_ros.core.standing import Standing
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
 
-#: A touch elsewhere within this time [s] of a contact whose beginning was not seen continues it: a
-#: palpation of 1 Hz leaves the tissue for at most half of its period.
-_DIP_TIME = 0.5
 #: A contact contradicts the stated rig where one of its quantities is off by more than this
 #: many standard deviations: undisturbed rigs reach 1.8, a friction six times as large 2.7.
 _CONTRADICTION = 2.5
@@ -154,7 +151,7 @@ class Site(Standing):
         config, first = self._config, onset.samples[0]
         scale = config.geometry.stress_per_force
         is_first = first.stamp_ns == self.start_ns
-        self._lift_off = LiftOff(onset.release_force, scale, is_first=is_first)
+        self._lift_off = LiftOff(onset, scale, is_first=is_first)
         if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
             new = _new_estimator(config, noise_sd, origin_sd, noise)
@@ -314,7 +311,7 @@ def prepare(config: PipelineConfig) -> None:
 
 def dips(duration_ns: int) -> bool:
     """Whether a probe that was off the tissue for this time may only have lifted off briefly."""
-    return duration_ns < _DIP_TIME * NANOSECONDS
+    return duration_ns < BRIEF * NANOSECONDS
 
 
 def _new_estimator(

@@ -19,8 +19,6 @@ from fden_ros.core.site import Site
 from fden_ros.core.standing import SiteState
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: A first contact that stays below this multiple of the release force is faint.
-_FAINT = 4.0
 #: Samples from before the detection of a touch are backfilled within about this time [s].
 _CATCH_UP_TIME = 0.03
 #: A summary is given this long after the release [ns].
@@ -114,9 +112,9 @@ class Contact:
 
     @property
     def is_faint(self) -> bool:
-        """Whether it is the site's first, below 4 release forces: perhaps noise."""
+        """Whether it is the site's first, below twice its clear force: perhaps noise."""
         is_first = self.start_ns == self.site.start_ns
-        is_weak = self._account.max_force < _FAINT * self.onset.release_force
+        is_weak = self._account.max_force < 2.0 * self.onset.clear_force
         return is_first and is_weak and self.site.state is not SiteState.FAILED
 
     @property

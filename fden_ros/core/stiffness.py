@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Stiffness in N/m: by the law of an estimate, and as the measured slope.
+r"""The measured slope: stiffness in N/m without a law, a touch or a zero.
 
-The *measured slope* is dF/dd at the end of loading, and at the beginning of unloading (S of Oliver
-and Pharr, Journal of Materials Research 7, 1564, 1992). It needs no law, touch or zero. A *run* is
-motion in one direction, kept as pieces of the path, the newest the finest. The slope is that of a
-parabola through a window at the run's end, evaluated at that end. The window is the narrowest
-whose standard error is 2 % of the slope, otherwise the one with the least. The standard error
-includes the change of the slope by a cubic. If the end itself is not known, the slope is that in
-the middle of a window.
+It is dF/dd at the end of loading, and at the beginning of unloading (S of Oliver and Pharr,
+Journal of Materials Research 7, 1564, 1992). A *run* is motion in one direction, kept as pieces of
+the path, the newest the finest. The slope is that of a parabola through a window at the run's end,
+evaluated at that end. The window is the narrowest whose standard error is 2 % of the slope,
+otherwise the one with the least. The standard error includes the change of the slope by a cubic.
+If the end itself is not known, the slope is that in the middle of a window.
 """
 
 from __future__ import annotations
@@ -24,53 +23,32 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import Estimate, log_stiffness
-from fden_ros.core.law import ApparentStiffness, Geometry, log_stiffness_at
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: Least length of a piece, as a part of the geometry's length and in deviations of the
-#: displacement's noise; pieces of one length before the two oldest are joined.
-_LEAST_PIECE, _PIECE_DEVIATIONS, _PER_LEVEL = 2.5e-4, 4.0, 10
-#: Least pieces of a window, its least part of the force's change in the run, and in the last run
-#: where this one goes on with it; ratio of two windows.
-_LEAST_PIECES, _LEAST_PART, _LEAST_OF_LAST, _WIDER = 8, 0.1, 0.25, 1.4
-#: Relative standard error from which on a window is wide enough, and up to which the slope is
-#: known; the window's change of force is clear from 3 deviations of the noise on.
-_FINE, _KNOWN, _CLEAR = 0.02, 0.25, 3.0
-#: Loading ends where the probe slows down to half of the speed at which the force rose, a run
-#: where a piece takes 8 times as long as usual. A slope is due after an eighth of a window.
-_SLOW, _REST, _DUE = 0.5, 8.0, 0.125
-#: The envelope of a force saturates where it rises by this part of its rise over as wide a window
-#: before, clearly, at least at this part of the speed then, on 6 pieces.
-_FLAT, _SPEED, _LEAST_FLAT = 0.25, 0.8, 6
+#: displacement's noise.
+_LEAST_PIECE, _PIECE_DEVIATIONS = 2.5e-4, 4.0
+#: A window has at least this many pieces, and as many of one length are kept before the two oldest
+#: are joined. A run ends where a piece takes this many times as long as usual, and its slope is
+#: due again when the window has grown by one part in as many.
+_PIECES = 8
+#: Least part of the force's change in the run that a window has; ratio of two windows.
+_LEAST_PART, _WIDER = 0.1, 1.4
+#: A slope is known to at least this part of itself. A run that goes on with the last one changes
+#: the force by at least this part of that. The envelope of a force saturates where it rises by
+#: less than this part of its rise over as wide a window before, clearly, ...
+_QUARTER = 0.25
+#: ... at least at this part of the speed then, on 6 pieces.
+_SPEED, _LEAST_FLAT = 0.8, 6
+#: Largest correlation of neighbouring residuals.
+_MOST_CORRELATED = 0.8
+#: Relative standard error from which on a window is wide enough; the window's change of force is
+#: clear from 3 deviations of the noise on.
+_FINE, _CLEAR = 0.02, 3.0
+#: Loading ends where the probe slows down to this part of the speed at which the force rose.
+_SLOW = 0.5
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
-#: Largest correlation of neighbouring residuals, and largest deviation of ln N/m by the law.
-_MOST_CORRELATED, _MOST_SPREAD = 0.8, 0.5
-
-
-def apparent_stiffness_of(
-    estimate: Estimate | None, geometry: Geometry, u: float | None, stress: float, time: float
-) -> ApparentStiffness | None:
-    """Return N/m at an indentation ratio u [1] and stress [Pa] for a motion of `time` seconds.
-
-    None while it is not known to half of its value, or the estimator has not settled.
-    """
-    if estimate is None or u is None or not estimate.is_settled:
-        return None
-    if estimate.small_motions:
-        found = log_stiffness(estimate.small_motions, u, stress, time)
-    else:
-        covariance = np.zeros((4, 4))
-        covariance[:3, :3] = estimate.covariance
-        covariance[3, :3] = covariance[:3, 3] = estimate.with_origin
-        covariance[3, 3] = estimate.contact_point_sd**2
-        own = u - estimate.contact_point
-        found = log_stiffness_at(estimate.mean, covariance, geometry, own, time)
-    if found is None or found[1] > _MOST_SPREAD**2 or found[0] > 50.0:
-        return None
-    value = math.exp(found[0])
-    return ApparentStiffness(value, value * math.sqrt(found[1]), time)
 
 
 class MeasuredSlope(NamedTuple):
@@ -131,7 +109,7 @@ class _Run:
         self.width, self.duration = self.width + width, self.duration + duration
         for level in self.levels:
             level.append(piece)
-            if len(level) <= _PER_LEVEL:
+            if len(level) <= _PIECES:
                 return True
             piece = _joined(level.popleft(), level.popleft())
         self.levels.append(deque([piece]))
@@ -140,7 +118,7 @@ class _Run:
     def rests(self, stamp_ns: int) -> bool:
         """Whether the present piece takes so long that the probe is at rest."""
         elapsed = (stamp_ns - self._open_ns) / NANOSECONDS
-        return elapsed * self.width > _REST * self.duration * self.length > 0.0
+        return elapsed * self.width > _PIECES * self.duration * self.length > 0.0
 
     def columns(self) -> Array:
         """Return pieces from the measured end: a row for each number of a piece.
@@ -180,14 +158,10 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     third = (cubes - 3.0 * middle * squares + 3.0 * middle**2 * ways - middle**3) / half**3
     second = (squares - 2.0 * middle * ways + middle**2) / half**2
     design = np.stack([np.ones_like(ways), (ways - middle) / half, second, third], axis=1)
-    weighted = (weights[:, None] * design).T
-    normal = weighted @ design
-    parabola, cubic = (np.linalg.pinv(normal[:n, :n]) @ weighted[:n] for n in (3, 4))
-    scaled = (forces - design @ (cubic @ forces)) / np.sqrt(variances)
-    total, freedom = float(scaled @ scaled), len(forces) - 4
-    correlated = _correlation(scaled)
-    variance = max(total / freedom * (1.0 + correlated) / (1.0 - correlated), noise**2)
-    student = float(stdtrit(freedom, 0.975)) / 1.959964  # of the normal distribution
+    parabola, _ = _fitted(columns, design[:, :3])
+    cubic, variance = _fitted(columns, design)
+    variance = max(variance, noise**2)
+    student = float(stdtrit(len(forces) - 4, 0.975)) / 1.959964  # of the normal distribution
 
     def at(place: float) -> _Window:
         gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
@@ -196,28 +170,33 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
         own = student**2 * variance * float((line**2 + bend**2) @ variances)
         sd = math.sqrt(own + float(bend @ forces) ** 2)
         slope = float(line @ forces)
-        is_known = _KNOWN * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
+        is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
         return _Window(slope, sd, middle + place * half, width, is_known)
 
     return at(side), at(0.0)
 
 
-def _correlation(residuals: Array) -> float:
-    """Return the correlation of neighbouring residuals, at least 0 [1]."""
-    total = max(float(residuals @ residuals), sys.float_info.min)
-    return min(max(float(residuals[1:] @ residuals[:-1]) / total, 0.0), _MOST_CORRELATED)
+def _fitted(columns: Array, design: Array) -> tuple[Array, float]:
+    """Return the matrix from forces to coefficients, and the variance of a sample's force [N^2].
+
+    The correlation of neighbouring residuals widens the latter.
+    """
+    weights, forces, variances = columns[0], columns[6], columns[7]
+    weighted = (weights[:, None] * design).T
+    matrix: Array = np.linalg.pinv(weighted @ design) @ weighted
+    left = (forces - design @ (matrix @ forces)) / np.sqrt(variances)
+    total = max(float(left @ left), sys.float_info.min)
+    correlated = min(max(float(left[1:] @ left[:-1]) / total, 0.0), _MOST_CORRELATED)
+    freedom = len(forces) - design.shape[1]
+    return matrix, total / freedom * (1.0 + correlated) / (1.0 - correlated)
 
 
 def _line(columns: Array) -> tuple[float, float]:
     """Return the slope of a line through pieces and its standard error [N/m]."""
-    weights, way, force = columns[0], columns[3], columns[6]
-    way, force = (v - float(weights @ v) / float(weights.sum()) for v in (way, force))
-    spread = float(weights @ way**2)
-    slope = float(weights @ (way * force)) / spread
-    left = force - slope * way
-    variance = float(weights @ left**2) / (way.size - 2)
-    correlated = _correlation(left)
-    return slope, math.sqrt(variance / spread * (1.0 + correlated) / (1.0 - correlated))
+    way = columns[3] - columns[3].mean()
+    matrix, variance = _fitted(columns, np.stack([np.ones_like(way), way], axis=1))
+    error = math.sqrt(variance * float(matrix[1] ** 2 @ columns[7]))
+    return float(matrix[1] @ columns[6]), error
 
 
 def _is_saturated(columns: Array, change: float) -> bool:
@@ -233,7 +212,7 @@ def _is_saturated(columns: Array, change: float) -> bool:
         end, before = columns[:, :count], columns[:, count : max(twice, count + _LEAST_FLAT)]
         if before.shape[1] >= _LEAST_FLAT and np.ptp(end[6]) > 1e-9 * np.abs(end[6]).max():
             (slope, error), (rise, rise_error) = _line(end), _line(before)
-            is_flat = abs(slope) + _CLEAR * error < _FLAT * (rise - _CLEAR * rise_error)
+            is_flat = abs(slope) + _CLEAR * error < _QUARTER * (rise - _CLEAR * rise_error)
             pace = float(before[0].sum()) / max(float(before[1].sum()), sys.float_info.min)
             is_fast = widths[count - 1] > _SPEED * pace * times[count - 1]
             if is_flat and is_fast and rise * widths[count - 1] > _LEAST_PART * change:
@@ -244,7 +223,7 @@ def _is_saturated(columns: Array, change: float) -> bool:
 
 def _best(columns: Array, side: float, least_change: float, noise: float) -> _Window | None:
     """Return the slope at the end from which the columns begin; None: it is not known."""
-    widths, count, last = np.cumsum(columns[0]), _LEAST_PIECES, columns.shape[1]
+    widths, count, last = np.cumsum(columns[0]), _PIECES, columns.shape[1]
     found: tuple[list[_Window], list[_Window]] = ([], [])
     while count <= last:
         change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
@@ -351,9 +330,9 @@ class MeasuredSlopes:
 
     def _measure(self, run: _Run) -> float:
         """Measure a run in its present state; return the change of its force [N]."""
-        run.due_width = run.width * (1.0 + _DUE)
+        run.due_width = run.width * (1.0 + 1.0 / _PIECES)
         columns = run.columns()
-        if columns.shape[1] < _LEAST_PIECES:
+        if columns.shape[1] < _PIECES:
             return 0.0
         change = abs(float(columns[6, :3].mean() - columns[6, -3:].mean()))
         is_press = run.sign > 0.0 and run is not self._run and not self._is_continuous
@@ -362,12 +341,12 @@ class MeasuredSlopes:
             self._newest = NOT_MEASURED
             return change
         # The relaxation left by a creeping probe in one direction is no loading.
-        left = _LEAST_OF_LAST * self._change if run.sign == self._sign else 0.0
+        left = _QUARTER * self._change if run.sign == self._sign else 0.0
         least = max(_LEAST_PART * change, left)
         found = _best(columns, run.sign, least, self._noise) if change >= least else None
         if found is None:
             return change
-        run.due_width = run.width + _DUE * found.width
+        run.due_width = run.width + found.width / _PIECES
         first = columns[:3, 0]
         way = run.sign * (columns[3, 0] - found.way) + 0.5 * first[0]
         elapsed = np.interp(way, np.cumsum(columns[0]), np.cumsum(columns[1]), left=0.0)

@@ -10,14 +10,13 @@ from fden_ros.core.oscillation import PalpationFrequency
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: A probe has lifted where it was off the surface by this part of its last depth. The surface of a
-#: stroke that never lifts is found where the stroke
-#: turns: within 1 % of the depth on silicone (2 Hz, 0.05 N of noise), 4 % of simulated
-#: linear tissue, and 12 % (20 %) of exponential tissue with 2 % (10 %) of its force as noise.
+#: stroke that never lifts is found where the stroke turns: within 1 % of the depth on silicone
+#: (2 Hz, 0.05 N of noise), 4 % of simulated linear tissue, and 12 % (20 %) of exponential tissue
+#: with 2 % (10 %) of its force as noise.
 _LIFTED = 0.25
-#: This many consecutive touches without a lift are strokes; one or two are repeated presses.
-_LEAST_STROKES = 3
-#: This many periods in one contact whose touch was not seen are strokes too.
-_LEAST_PERIODS = 5.0
+#: This many consecutive touches without a lift are strokes; one or two are repeated presses. So
+#: are as many periods in one contact whose touch was not seen.
+_LEAST_STROKES = 5
 #: The setting for the parameter file.
 REMEDY = "contact: {mode: continuous}"
 
@@ -67,7 +66,7 @@ class Strokes:
         frequency, unseen_ns = self._finder.value, self._unseen_ns
         if frequency is None or unseen_ns is None:
             return
-        if (pair.stamp_ns - unseen_ns) / NANOSECONDS * frequency > _LEAST_PERIODS:
+        if (pair.stamp_ns - unseen_ns) / NANOSECONDS * frequency > _LEAST_STROKES:
             self._detect()
 
     def touch(self, onset: Onset) -> None:

@@ -3,10 +3,14 @@
 
 """When and where the probe touched."""
 
-from fden_ros.core.contact.air import SLOW_NS, ContactConfig
-from fden_ros.core.contact.detector import ContactDetector, Onset, Release
+from fden_ros.core.contact.air import CHUNK_SAMPLES, SLOW_NS, ContactConfig
+from fden_ros.core.contact.detector import SLIGHT, ContactDetector, Onset, Release
+from fden_ros.core.contact.surface import BRIEF
 
 __all__ = [
+    "BRIEF",
+    "CHUNK_SAMPLES",
+    "SLIGHT",
     "SLOW_NS",
     "ContactConfig",
     "ContactDetector",

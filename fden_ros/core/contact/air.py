@@ -23,7 +23,7 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import NOT_BY_CHANCE, Array
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams import NANOSECONDS, Pair, Position, Resolution
+from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair, Position, Resolution
 
 
 @dataclass(frozen=True)
@@ -86,29 +86,30 @@ class ContactConfig:
         return pair.displacement - self.series_compliance * force
 
 
-#: Force is averaged in chunks of at least 20 ms [ns] and 3 samples.
-CHUNK_NS, _CHUNK_SAMPLES = 20_000_000, 3
+#: Force is averaged in chunks of at least 20 ms and this number of samples.
+CHUNK_SAMPLES = 3
 #: Means are over these numbers of chunks.
 SCALES = (1, 2, 4, 8, 16)
 #: Probability that a mean in the air exceeds its threshold: an hour has 180,000 chunks, and a
 #: contact must also explain the excess better than a drift does.
 _CHANCE = 5e-6
-#: Prior of the scatter of longer means, that of white noise, and its weight in means.
-_EXPECTED = 8
-#: Fewer than 5 chunks give neither bias nor noise. These are known from 12 chunks on, or from as
-#: many samples as 24 of the shortest chunks have: with fewer the noise may come out so small that
-#: noise looks like a contact. The lookback keeps at least 24 chunks.
+#: Fewer than 5 chunks give no bias. Bias and noise are known from 12 chunks on: with fewer the
+#: noise may come out so small that noise looks like a contact. The lookback keeps at least 24
+#: chunks, and as many samples as these have at least.
 MIN_CHUNKS, _ENOUGH_CHUNKS = 5, 12
-LEAST_SAMPLES = 2 * _ENOUGH_CHUNKS * _CHUNK_SAMPLES
+LEAST_SAMPLES = 2 * _ENOUGH_CHUNKS * CHUNK_SAMPLES
 #: A slow contact is detected within 1 s [ns] of its beginning, so chunks of the newest second do
-#: not count. Bias and noise are measured anew after every 8 chunks.
-SLOW_NS, _AIR_EVERY = NANOSECONDS, 8
+#: not count.
+SLOW_NS = NANOSECONDS
+#: Bias and noise are measured anew after every 8 chunks. The prior of the scatter of longer means,
+#: that of white noise, weighs as much as 8 means.
+_RENEWED = 8
 #: Vibration is no contact: a contact exceeds the bias by more than 2.2 times the deepest dip of
 #: means over the same time in the lookback, so that no trough ends it.
 _SWING_FACTOR = 2.2
-#: Standard deviation of rounding, in steps. Noise below 0.6 steps, that of the rounding included,
-#: does not whiten it.
-_ROUNDING, _DITHER = 12.0**-0.5, 0.6
+#: Noise below this part of a step of the force, that of its rounding included, does not whiten the
+#: rounding error.
+_DITHER = 0.6
 
 
 class Chunk(NamedTuple):
@@ -132,12 +133,10 @@ class Chunks:
     def add(self, pair: Pair) -> Chunk | None:
         """Add a sample; return the chunk that it completes."""
         forces = self._forces
-        if not forces or pair.stamp_ns < self._start_ns:
-            # A clock that jumped back leaves a chunk without an end.
-            forces.clear()
+        if not forces:
             self._start_ns = pair.stamp_ns
         forces.append(pair.force)
-        if len(forces) < _CHUNK_SAMPLES or pair.stamp_ns - self._start_ns < CHUNK_NS:
+        if len(forces) < CHUNK_SAMPLES or pair.stamp_ns - self._start_ns < CHUNK_NS:
             return None
         mean, half = math.fsum(forces) / len(forces), len(forces) // 2
         square_sum = math.fsum((force - mean) ** 2 for force in forces)
@@ -206,8 +205,6 @@ class Baseline:
     def keep(self, chunk: Chunk) -> None:
         """Add a chunk in the air."""
         chunks = self._chunks
-        # A clock that jumped back has left chunks ahead.
-        self._drop_since(chunk.start_ns)
         chunks.append(chunk)
         self._count += 1
         while len(chunks) > 2 * _ENOUGH_CHUNKS and self.is_old(chunks[0].start_ns, chunk.start_ns):
@@ -216,13 +213,12 @@ class Baseline:
     def before(self, chunk: Chunk) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known."""
         chunks, config = tuple(self._chunks), self._config
-        is_few = len(chunks) < _ENOUGH_CHUNKS and sum(c.size for c in chunks) < LEAST_SAMPLES
-        if is_few or len(chunks) < MIN_CHUNKS:
+        if len(chunks) < _ENOUGH_CHUNKS:
             if self.is_measured or not (config.force_noise or config.force_threshold):
                 return None
             return self._measured(chunks or (chunk._replace(square_sum=0.0),))
         # Not while a slow contact may have begun, or the baseline would follow it.
-        is_due = self._count % _AIR_EVERY == 0 and not self.is_suspected
+        is_due = self._count % _RENEWED == 0 and not self.is_suspected
         if self._air is None or is_due:
             old = tuple(one for one in chunks if one.end_ns <= chunk.start_ns - SLOW_NS)
             self._air = self._measured(max(old, chunks[: -(-len(chunks) // 2)], key=len))
@@ -267,12 +263,12 @@ class Baseline:
         """Return the mean of the air's force or, where it drifts, its trend."""
         config, step, end_ns = self._config, self.resolution.step, chunks[-1].end_ns
         mean, fast, count = _mean_of(chunks)
-        # Where noise does not whiten it, the rounding error persists for many samples.
-        is_dithered = config.force_noise or fast >= _DITHER * step
-        rounding = 0.0 if is_dithered else _ROUNDING * step
+        error = step * 12.0**-0.5  # of one rounding
+        # Where noise does not whiten it, it persists for many samples.
+        rounding = 0.0 if config.force_noise or fast >= _DITHER * step else error
         slow = max(config.noise_floor, rounding * math.sqrt(max(chunk.size for chunk in chunks)))
         noise = config.force_noise or max(_noise_of_means(chunks, fast, count), slow)
-        white = config.force_noise or max(fast, _ROUNDING * step, config.noise_floor)
+        white = config.force_noise or max(fast, error, config.noise_floor)
         level = Air(mean, math.hypot(noise / math.sqrt(count), rounding), noise, white, end_ns)
         if len(chunks) < 2 * MIN_CHUNKS:
             return level
@@ -299,10 +295,7 @@ class Baseline:
 
     def forget_since(self, stamp_ns: int) -> None:
         """Drop the chunks that reach into a contact that began at `stamp_ns`."""
-        self._drop_since(stamp_ns)
         self._air = None
-
-    def _drop_since(self, stamp_ns: int) -> None:
         while self._chunks and self._chunks[-1].end_ns >= stamp_ns:
             self._chunks.pop()
 
@@ -330,7 +323,7 @@ def _scatter_of(means: Array, size: float, noise: float) -> tuple[Array, Array]:
     found: list[tuple[float, float]] = []
     freedom, variance = means.size * (size - 1.0), noise**2
     for scale in SCALES:
-        count, weight = means.size // scale, min(freedom, _EXPECTED)
+        count, weight = means.size // scale, min(freedom, _RENEWED)
         freedom = max(count - 1, 0)
         averaged = means[means.size - count * scale :].reshape(count, scale).mean(axis=1)
         square_sum = 0.5 * scale * size * float(np.sum(np.diff(averaged) ** 2))

@@ -19,7 +19,6 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.contact.air import (
-    CHUNK_NS,
     LEAST_SAMPLES,
     MIN_CHUNKS,
     SLOW_NS,
@@ -29,29 +28,33 @@ from fden_ros.core.contact.air import (
     ContactConfig,
     Excess,
 )
-from fden_ros.core.contact.surface import FIRST_WINDOW, LEAST_EVIDENCE, Approach, find_surface
-from fden_ros.core.streams import NANOSECONDS, Pair
+from fden_ros.core.contact.surface import (
+    FIRST_WINDOW,
+    LEAST_EVIDENCE,
+    SMALL,
+    Approach,
+    find_surface,
+)
+from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair
 
 #: A rise of the force is a drift where a contact explains it better than a straight line in time
-#: by less than `LEAST_EVIDENCE`. A rise that may still grow is observed until 200: the longer it
-#: lasts, the better it shows the surface.
-_AMPLE_EVIDENCE = 200.0
-#: A rise is examined again when it has lasted for a tenth longer, or has fallen by half. It was a
-#: drift when it lasted for 2 chunks, is over, and a slow contact would have been found by then.
-RETRY = 0.1
+#: by less than `LEAST_EVIDENCE`. A rise that may still grow is observed until this is a `SMALL`
+#: share of the evidence: the longer it lasts, the better it shows the surface. It is examined
+#: again when it has lasted longer by that share, or has fallen by half. It was a drift when it
+#: lasted for 2 chunks, is over, and a slow contact would have been found by then.
+_AMPLE_EVIDENCE = LEAST_EVIDENCE / SMALL
 #: A chunk is not the air's from 4 deviations of a sample on. Noise counts as coloured from 1.5
 #: times the white noise.
 _NO_AIR, _COLOUR = 4.0, 1.5
-#: Most samples of the lookback.
-_MOST_LOOKBACK = 40_000
 #: From half of a contact's threshold on, a slow one may have begun: the baseline is frozen. A
 #: contact ends when the mean over as many chunks as detected it, at least 2, is below it, ...
 _LOW, _RELEASE_CHUNKS = 0.5, 2
-#: ... or when the probe is behind the surface by this share of its deepest penetration. A probe
-#: that holds still, within this share, does not leave: the tissue relaxes.
-_RETREAT, _HELD = 0.2, 0.05
-#: Inertia counts where its largest force in the air exceeds this share of the detected force.
-_INERTIAL = 0.05
+#: ... or when the probe is behind the surface by this share of its deepest penetration.
+_RETREAT = 0.2
+#: Less than this share of the deepest penetration, or of the force detected, does not count. A
+#: probe that holds still within it does not leave: the tissue relaxes. Nor do a smaller force of
+#: inertia in the air, and a smaller retract of a round probe, matter.
+SLIGHT = 0.05
 
 
 class Onset(NamedTuple):
@@ -71,7 +74,12 @@ class Onset(NamedTuple):
     shows_surface: bool  #: noise does not hide where the force begins
     seen: bool  #: False: the data began in contact, so the contact point is not known
     air_seen: bool  #: the data began in the air, even if they do not show the surface
-    release_force: float = 0.0  #: below it a sample is not pressing [N]
+    clear_force: float  #: the mean of a chunk above it is in contact [N]
+
+    @property
+    def release_force(self) -> float:
+        """The force below which a sample is not pressing [N]."""
+        return _LOW * self.clear_force
 
 
 class Release(NamedTuple):
@@ -93,13 +101,10 @@ class _Rise:
 
 
 class _Press:
-    """A contact until its end; `clear` is the force that a single chunk in contact exceeds [N]."""
+    """A contact until its end."""
 
-    def __init__(self, onset: Onset, clear: float, excess: Excess) -> None:
-        self.bias, self._surface = onset.bias, onset.displacement
-        self._deepest = onset.displacement
-        self._clear = max(clear, excess.threshold)
-        self.release_force = _LOW * self._clear
+    def __init__(self, onset: Onset, excess: Excess) -> None:
+        self.onset, self._deepest = onset, onset.displacement
         self._least = _LOW * excess.threshold
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
         self._newest: deque[tuple[Chunk, bool]] = deque()  # with whether the probe held at its end
@@ -109,20 +114,21 @@ class _Press:
 
     def add(self, chunk: Chunk, pair: Pair) -> int | None:
         """Add a chunk and its last pair; return since when the probe has left [ns], or None."""
+        onset, depth = self.onset, pair.displacement - self.onset.displacement
         self._deepest = max(self._deepest, pair.displacement)
-        if chunk.mean - self.bias > self._clear:
+        deepest = self._deepest - onset.displacement
+        if chunk.mean - onset.bias > onset.clear_force:
             # However faint its beginning, single chunks have shown the contact now.
-            self._averaged, self._least = _RELEASE_CHUNKS, self.release_force
-        level = self.bias + self._least
+            self._averaged, self._least = _RELEASE_CHUNKS, onset.release_force
+        level = onset.bias + self._least
         is_low = chunk.mean < level
-        is_behind = self._surface - pair.displacement > _RETREAT * (self._deepest - self._surface)
+        is_behind = depth < -_RETREAT * deepest
         self._behind_chunks += is_behind
         # The chunk in which the probe leaves may be mostly contact.
         if is_behind and (is_low or self._behind_chunks > 1):
             self.is_behind = not is_low
             return chunk.start_ns
-        newest = self._newest
-        is_held = self._deepest - pair.displacement < _HELD * (self._deepest - self._surface)
+        newest, is_held = self._newest, deepest - depth < SLIGHT * deepest
         newest.append((chunk, is_held))
         while len(newest) > self._averaged:
             newest.popleft()
@@ -153,15 +159,15 @@ class ContactDetector:
         self.mass = 0.0  #: of the newest of these [kg]
         self.reset()
 
-    def reset(self) -> None:
-        """Forget all samples, the baseline and the contact."""
+    def reset(self, *, keeps_contact: bool = False) -> None:
+        """Forget all samples and the baseline, and the contact unless its release is to come."""
+        if not keeps_contact:
+            self._press: _Press | None = None
         #: Newest time at which presumed air turned out to be a contact.
         self.left_unseen_ns: int | None = None
-        self._samples: deque[Pair] = deque(maxlen=_MOST_LOOKBACK)
+        self._samples: deque[Pair] = deque()
         self._baseline, self._chunks = Baseline(self._config), Chunks()
-        self._press: _Press | None = None
         self._rise, self._has_released = _Rise(), False
-        self._began_ns: int | None = None
         self._below = 0  # chunks in a row below the baseline
 
     @property
@@ -176,11 +182,7 @@ class ContactDetector:
     def add(self, pair: Pair) -> Onset | Release | None:
         """Add one pair; return an event if the contact begins or ends with it."""
         samples, press = self._samples, self._press
-        if self._began_ns is None:
-            self._began_ns = pair.stamp_ns
         if press is None:
-            while samples and samples[-1].stamp_ns > pair.stamp_ns:
-                samples.pop()  # the clock has jumped back
             self._baseline.resolution.add(pair.force)
         samples.append(pair)
         is_old = self._baseline.is_old
@@ -213,15 +215,20 @@ class ContactDetector:
                 found = Excess(1.0, clear, 1) if is_clear else excess
                 return self._begun(approach, noise, clear, found)
         if is_over:
-            self._end_rise(chunk.end_ns, excess.ratio)
-        rise = self._rise
+            rise = self._end_rise(chunk.end_ns, excess.ratio)
         rise.doubted_chunks += rise.doubted_ns is not None and excess.ratio >= 1.0
         baseline.is_suspected = not rise.is_doubted and excess.ratio > _LOW
         baseline.keep(chunk)
         is_below = baseline.is_measured and above < -beyond_noise
         self._below = self._below + 1 if is_below else 0
         if self._below == 2 * MIN_CHUNKS:
-            self._forget_baseline()
+            if self._config.measure_bias:
+                # The chunks before were a contact, or the force has the wrong sign.
+                self.below_baseline += 1
+                self.left_unseen_ns = chunk.end_ns
+            self._below = 0
+            baseline.forget_all_but(MIN_CHUNKS)
+            self._samples.clear()
         return None
 
     def _is_contact(self, approach: Approach, now_ns: int, *, may_grow: bool) -> bool:
@@ -231,7 +238,7 @@ class ContactDetector:
         rise, evidence = self._rise, approach.evidence
         if self._has_released and not approach.has_advanced():
             evidence = 0.0
-        rise.look_ns = now_ns + round(RETRY * approach.lasting * NANOSECONDS)
+        rise.look_ns = now_ns + round(SMALL * approach.lasting * NANOSECONDS)
         if evidence < LEAST_EVIDENCE:
             # A drift, which rises whatever the probe does, or the beginning of a contact that is
             # still too faint.
@@ -241,26 +248,16 @@ class ContactDetector:
             return False
         return approach.is_established(is_clear=not may_grow)
 
-    def _end_rise(self, now_ns: int, ratio: float) -> None:
+    def _end_rise(self, now_ns: int, ratio: float) -> _Rise:
         """Drop a rise that is over, and count it as a drift if no contact followed."""
         rise = self._rise
         rise.peak = ratio
-        if ratio >= 1.0:
-            return
-        self._rise = _Rise(rise.doubted_ns, rise.doubted_chunks)
-        if rise.doubted_ns is not None and now_ns - rise.doubted_ns > SLOW_NS:
-            self.drifts += rise.doubted_chunks > 1
-            self._rise = _Rise()
-
-    def _forget_baseline(self) -> None:
-        """Measure the baseline anew: the force has stayed below it for 10 chunks."""
-        if self._config.measure_bias:
-            # The chunks before were a contact, or the force has the wrong sign.
-            self.below_baseline += 1
-            self.left_unseen_ns = self._samples[-1].stamp_ns
-        self._below = 0
-        self._baseline.forget_all_but(MIN_CHUNKS)
-        self._samples.clear()
+        if ratio < 1.0:
+            self._rise = _Rise(rise.doubted_ns, rise.doubted_chunks)
+            if rise.doubted_ns is not None and now_ns - rise.doubted_ns > SLOW_NS:
+                self.drifts += rise.doubted_chunks > 1
+                self._rise = _Rise()
+        return self._rise
 
     def _approach_until(self, now_ns: int, white: float, *, is_clear: bool) -> Approach:
         """Return the samples until now, of white noise [N]."""
@@ -295,12 +292,11 @@ class ContactDetector:
             # Nor, before the first release, is it air where the force rises with the displacement.
             if level.slope > 0.0:
                 came &= approach.rises_by_itself(drift, level.noise)
-            assert self._began_ns is not None
             # Anything shorter may be a press as well as the air: of a record that began in a
             # press of 0.1 N, 50 ms looked like air.
-            came &= not is_measured or onset_ns - self._began_ns > MIN_CHUNKS * CHUNK_NS
+            came &= not is_measured or onset_ns - pairs[0].stamp_ns > MIN_CHUNKS * CHUNK_NS
         mass, inertia = approach.inertia()
-        if inertia > _INERTIAL * float(approach.force[approach.first :].max()):
+        if inertia > SLIGHT * float(approach.force[approach.first :].max()):
             # Inertia hides the touch: the surface was found up to 5 mm too deep.
             came, self.inertial, self.mass = False, self.inertial + 1, mass
         seen = approach.first > 0 and air_seen and came
@@ -310,10 +306,10 @@ class ContactDetector:
         self.has_seen_air |= seen
         # A little before the onset, so that the memory begins with the air.
         first = max(approach.first - 2, 0) if seen else 0
-        way = (approach.time - approach.time[first], approach.displacement, approach.force)
+        time, force = approach.time - approach.time[first], approach.force + (bias - level.value)
         onset = Onset(
             samples=tuple(pairs)[first:],
-            way=np.array(way)[:, :first] + np.array([[0.0], [0.0], [bias - level.value]]),
+            way=np.array([time, approach.displacement, force])[:, :first],
             bias=level.value,
             bias_sd=level.sd,
             drift=level.slope,
@@ -324,11 +320,12 @@ class ContactDetector:
             shows_surface=approach.shows_surface,
             seen=seen,
             air_seen=air_seen,
+            clear_force=max(clear, excess.threshold),
         )
-        self._press = _Press(onset, clear, excess)
+        self._press = _Press(onset, excess)
         pairs.clear()
         self._rise, self._below, baseline.is_suspected = _Rise(), 0, False
-        return onset._replace(release_force=self._press.release_force)
+        return onset
 
     # In contact
 
@@ -341,7 +338,7 @@ class ContactDetector:
         self._press, self._has_released, self.has_seen_air = None, True, True
         self._baseline.is_measured = True
         # The air at its end is the air before the next one.
-        samples, least = self._samples, press.bias + press.release_force
+        samples, least = self._samples, press.onset.bias + press.onset.release_force
         newest = (k for k, p in enumerate(samples) if p.force >= least or p.stamp_ns < left_ns)
         for _ in range(max(newest, default=-1) + 1):
             samples.popleft()

@@ -15,15 +15,13 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gamma
 
 from fden_ros.core.arrays import NOT_BY_CHANCE, Array
-from fden_ros.core.contact.air import CHUNK_NS
-from fden_ros.core.streams import NANOSECONDS
+from fden_ros.core.streams import CHUNK_NS, NANOSECONDS
 
 #: Growths over the depth at which exponentials are compared with the line: the line bends less
 #: than the first of them, and the steepest is beyond what the noise hides.
@@ -32,19 +30,19 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 LEAST_EVIDENCE = 20.0
-#: A probe has moved by more than 5 deviations of the surface (with 4 a force that grows in the air
-#: was a touch), and than this many usual steps of the displacement: noise alone reaches eight. And
-#: for at least this time away from the surface [s]: chatter is shorter.
-_CLEAR_STEPS, _LEAST_AWAY = 10.0, 0.5
+#: A probe that was off the tissue for a shorter time than this [s] has not left it: it chatters,
+#: or slides in a palpation of 1 Hz, which leaves the tissue for at most half of its period.
+BRIEF = 0.5
 #: This many times in a window are tried for the onset, then as many about the best; its samples
 #: are averaged into at most twice as many bins. So the work is bounded, whatever a window holds.
 _CANDIDATES = 40
 #: The first window is this long [s] and holds at least this many samples; it doubles until the
-#: onset lies well within it. Force or depth below this share of that detected is small.
-FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE, _SMALL = 0.1, 24, 0.6, 0.1
-#: After a release a probe that has not advanced touches nothing. It has advanced by more than 5
-#: usual second differences, 8 deviations of white noise, and this many steps of its encoder.
-_ADVANCE_STEPS = 2.0
+#: onset lies well within it, at less than this share of it.
+FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE = 0.1, 24, 0.6
+#: Force, depth or time below this share of that detected is small.
+SMALL = 0.1
+#: A probe has moved by more than this many steps of its encoder.
+_ENCODER_STEPS = 2.0
 #: A rise must last for this time [s] from a tenth of its depth on: one half of a vibration of 5 Hz
 #: is then over. Or the probe has moved for as long before, at this share of its present speed, by
 #: steps of a chunk: then the swing of the force while it moves is known.
@@ -53,9 +51,6 @@ _MOTION_STEP = CHUNK_NS / NANOSECONDS
 #: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
 #: from a correlation of this many standard deviations on: that of white noise reaches four.
 _AVERAGED, _FOLLOWS = 0.004, 8.0
-#: The force rises by itself where a line in time explains it better than a line in the
-#: displacement, by this chi-squared.
-_BY_ITSELF = 4.0
 
 
 class Approach(NamedTuple):
@@ -78,22 +73,13 @@ class Approach(NamedTuple):
     def came_through_air(self) -> bool:
         """Whether the probe came to the surface through the air."""
         before = self.displacement[: self.first]
-        if before.size < 2:
-            return False
-        way = self.surface - float(before.min())
-        return way > _clear_way(self.surface_sd, before)
+        way = self.surface - float(before.min(initial=self.surface))
+        return way > _clear_way(before, self.surface_sd)
 
     def has_advanced(self) -> bool:
-        """Whether the probe has moved in since the release, by more than by noise.
-
-        Even motion has no second differences; those of noise are 1.65 deviations.
-        """
+        """Whether the probe has moved in since the release: otherwise it touches nothing."""
         way = self.displacement
-        steps = np.abs(np.diff(way))
-        noise = float(np.median(np.abs(np.diff(way, n=2)))) if way.size > 2 else 0.0
-        step = float(steps[steps > 0.0].min(initial=math.inf))
-        advance = float(np.max(way - np.minimum.accumulate(way)))
-        return advance > max(NOT_BY_CHANCE * noise, _ADVANCE_STEPS * step)
+        return float(np.max(way - np.minimum.accumulate(way))) > _clear_way(way)
 
     def inertia(self) -> tuple[float, float]:
         """Return the mass beyond the sensor [kg] and its largest force in the air [N]; 0: none.
@@ -126,7 +112,8 @@ class Approach(NamedTuple):
         if way.size < 3 or np.ptp(way) == 0.0:
             return False
         by_time, by_way = (np.corrcoef(force, by)[0, 1] ** 2 for by in (time, way))
-        return float(by_time - by_way) * force.size * float(np.var(force)) > _BY_ITSELF * noise**2
+        explained = float(by_time - by_way) * force.size * float(np.var(force))
+        return explained > LEAST_EVIDENCE * noise**2
 
     def began_in_air(self, threshold: float, rest: float) -> bool:
         """Whether no force was there [N] when the data began, or none for `rest` [s] since."""
@@ -143,7 +130,7 @@ class Approach(NamedTuple):
         time, first = self.time, self.first
         depth = self.displacement - self.surface
         # Where the probe rested, the surface may lie anywhere in that time.
-        shallow = np.flatnonzero(depth[first:] < _SMALL * depth[-1])
+        shallow = np.flatnonzero(depth[first:] < SMALL * depth[-1])
         first += int(shallow[-1]) if shallow.size else 0
         lasting = float(time[-1] - time[first])
         if lasting > _LASTING or not is_clear:
@@ -172,13 +159,13 @@ def find_surface(
     while True:
         start = int(np.searchsorted(time, time[-1] - window))
         start = min(start, max(time.size - _MIN_WINDOW_SAMPLES, 0))
-        bins = _Bins.of(time, force, displacement, start, fractional_order, noise)
+        bins = _Bins(time, force, displacement, start, fractional_order, noise)
         tried = np.linspace(bins.time[0], bins.time[-1], _CANDIDATES, endpoint=False)
         onset_time = bins.best(tried)
         inside = time[-1] - onset_time <= _CONTACT_SHARE * (time[-1] - time[start])
         # A bend within the contact is no onset: before the onset the force is the air's.
         before = float(bins.force[bins.time <= onset_time].mean())
-        if start == 0 or (inside and before < _SMALL * detected):
+        if start == 0 or (inside and before < SMALL * detected):
             break
         window = 2.0 * max(window, float(time[-1] - time[start]))
     spacing = (bins.time[-1] - bins.time[0]) / _CANDIDATES
@@ -189,13 +176,18 @@ def find_surface(
     return Approach(time, force, displacement, *found)
 
 
-def _clear_way(surface_sd: float, displacement: Array) -> float:
-    """Return the distance from a surface [m] beyond its deviation and the usual steps.
+def _clear_way(displacement: Array, surface_sd: float = 0.0) -> float:
+    """Return the way [m] beyond the noise of a `displacement`, and the deviation of a surface.
 
-    `displacement`: two samples or more, [m], shape (n,).
+    Even motion has no second differences; the median of those of noise is 1.65 deviations. With 4
+    deviations of the surface a force that grew in the air was a touch.
     """
-    step = float(np.median(np.abs(np.diff(displacement))))
-    return max(NOT_BY_CHANCE * surface_sd, _CLEAR_STEPS * step)
+    if displacement.size < 3:
+        return math.inf
+    steps = np.abs(np.diff(displacement))
+    noise = float(np.median(np.abs(np.diff(displacement, n=2))))
+    step = float(steps[steps > 0.0].min(initial=math.inf))
+    return max(NOT_BY_CHANCE * max(noise, surface_sd), _ENCODER_STEPS * step)
 
 
 def _last_way_in(
@@ -204,44 +196,35 @@ def _last_way_in(
     """Return the first sample behind the surface since the probe was last before it.
 
     A retract also passes the surface, and explains the force of the next press as well. Anything
-    shorter than `_LEAST_AWAY` is no retract: a probe that chatters is in one contact.
+    brief is no retract: a probe that chatters is in one contact.
     """
     first = int(np.searchsorted(time, onset_time))
     way = displacement[first:]
-    if way.size < 2:
-        return first
     # As far before it as a probe that came through the air.
-    before = np.flatnonzero(way < surface - _clear_way(surface_sd, way))
-    if not before.size or time[first + before[-1]] - time[first + before[0]] < _LEAST_AWAY:
+    before = np.flatnonzero(way < surface - _clear_way(way, surface_sd))
+    if not before.size or time[first + before[-1]] - time[first + before[0]] < BRIEF:
         return first
     left = int(before[-1])
     return first + left + int(np.argmax(way[left:] >= surface))
 
 
-@dataclass(frozen=True)
 class _Bins:
     """Samples averaged into few bins, with the fractional derivative as a matrix on increments."""
 
-    time: Array
-    force: Array
-    displacement: Array
-    derivative: Array
-    least: float  #: least variance of the force of a bin [N^2]
-
-    @classmethod
-    def of(
-        cls, time: Array, force: Array, way: Array, start: int, order: float, noise: float
-    ) -> _Bins:
+    def __init__(
+        self, time: Array, force: Array, way: Array, start: int, order: float, noise: float
+    ) -> None:
         per_bin = max(1, -(-(time.size - start) // (2 * _CANDIDATES)))
         count = (time.size - start) // per_bin
         kept = slice(time.size - count * per_bin, None)
-        bin_time, bin_force, bin_way = (
+        self.time, self.force, self.displacement = (
             values[kept].reshape(count, per_bin).mean(axis=1) for values in (time, force, way)
         )
         exponent = 1.0 - order
-        lag = np.maximum(bin_time[:, None] - bin_time[None, :], 0.0) ** exponent
-        matrix = (lag[:, :-1] - lag[:, 1:]) / (np.diff(bin_time) * gamma(exponent + 1.0))
-        return cls(bin_time, bin_force, bin_way, matrix, noise**2 / per_bin)
+        lag = np.maximum(self.time[:, None] - self.time[None, :], 0.0) ** exponent
+        widths = np.diff(self.time) * gamma(exponent + 1.0)
+        self._derivative = (lag[:, :-1] - lag[:, 1:]) / widths
+        self._least = noise**2 / per_bin  # variance of the force of a bin [N^2]
 
     def misfit(self, onset_times: Array) -> Array:
         """Sum of squared residuals [N^2] for each candidate onset, shape (candidates,)."""
@@ -251,7 +234,7 @@ class _Bins:
 
     def _misfit_of(self, signals: Array) -> Array:
         """Sum of squared residuals [N^2] of the responses to signals (bins, m), shape (m,)."""
-        response = self.derivative @ np.diff(signals, axis=0)
+        response = self._derivative @ np.diff(signals, axis=0)
         # Centred, because the force's bias is fitted too.
         response -= response.mean(axis=0)
         force = self.force - self.force.mean()
@@ -282,7 +265,7 @@ class _Bins:
             return (other - contact) / max(noise, least)
 
         is_seen = depth <= 0.0 or gain(exponential, 0.0) >= LEAST_EVIDENCE
-        return gain(drift, self.least), is_seen
+        return gain(drift, self._least), is_seen
 
     def surface(self, onset_time: float, spacing: float) -> tuple[float, float]:
         """Return the surface and its standard deviation [m], by the curvature of the misfit.
@@ -292,7 +275,7 @@ class _Bins:
         """
         near = onset_time + np.array([-spacing, 0.0, spacing])
         low, middle, high = self.misfit(near)
-        noise = max(float(middle) / max(self.time.size - 2, 1), self.least)
+        noise = max(float(middle) / max(self.time.size - 2, 1), self._least)
         places = np.interp(near, self.time, self.displacement)
         step = max(0.5 * abs(float(places[2] - places[0])), sys.float_info.min)
         curvature = max(float(low + high - 2.0 * middle), sys.float_info.min)
