@@ -33,7 +33,6 @@ from fden_ros.core.plausibility import stands_against
 from fden_ros.core.stiffness import MeasuredSlopes, Slopes
 from fden_ros.core.streams import (
     NANOSECONDS,
-    GapGuard,
     Pair,
     Position,
     Quaternion,
@@ -42,6 +41,7 @@ from fden_ros.core.streams import (
     Synchronizer,
     Transform,
     Vector,
+    gap_before,
 )
 
 
@@ -87,7 +87,6 @@ class Pipeline:
 
     def _begin_epoch(self, epoch: int) -> None:
         self._epoch = epoch
-        self._gaps = GapGuard()
         self._rejected_before = self.rejected.total()
 
     def _restart_streams(self) -> None:
@@ -278,7 +277,7 @@ class Pipeline:
                 self._session.forget(keeps_contact=True)
                 self._measured.forget()
                 self._begin_epoch(pair.epoch)
-            gap_ns = self._gaps.step(pair.stamp_ns)
+            gap_ns = gap_before(pair, self.newest_ns) if self.pair_count else 0
             if gap_ns:
                 is_long = gap_ns > self._max_gap_ns
                 self._put(self._session.see_gap(self.newest_ns, is_long=is_long))

@@ -7,10 +7,10 @@ from fden_ros.core.streams.frames import FramesConfig, StaticLinks
 from fden_ros.core.streams.guard import (
     MIN_STEP_NS,
     USUAL_SAMPLES,
-    GapGuard,
     Resolution,
     StreamGuard,
     force_at_limit,
+    gap_before,
 )
 from fden_ros.core.streams.rotation import (
     NumberOrVector,
@@ -36,7 +36,6 @@ __all__ = [
     "NANOSECONDS",
     "USUAL_SAMPLES",
     "FramesConfig",
-    "GapGuard",
     "NumberOrVector",
     "Pair",
     "Position",
@@ -52,6 +51,7 @@ __all__ = [
     "Transform",
     "Vector",
     "force_at_limit",
+    "gap_before",
     "lateral_distance",
     "normalised",
 ]

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from fden_ros.core.streams.rotation import TOLERANCE, Quaternion, angle
-from fden_ros.core.streams.samples import CHUNK_NS, NANOSECONDS, Position, Reason, Sample
+from fden_ros.core.streams.samples import CHUNK_NS, NANOSECONDS, Pair, Position, Reason, Sample
 
 #: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
@@ -115,10 +115,6 @@ class UsualStep(Usual):
     def add(self, step_ns: float) -> None:
         """Add a step."""
         super().add(step_ns)
-        self.add_pause(step_ns)
-
-    def add_pause(self, step_ns: float) -> None:
-        """Add a step that may be a pause: two consecutive ones are usual, the mean stays."""
         self.value_ns = max(self.mean, min(self._last_ns, step_ns))
         self._last_ns = step_ns
 
@@ -322,22 +318,8 @@ class ValueGuard:
         return distance + _LEVER * angle(a.turn, b.turn)
 
 
-class GapGuard:
-    """Find gaps in a stream that has passed the other guards: far steps that are not brief."""
-
-    def __init__(self) -> None:
-        self._newest_ns: int | None = None
-        self._usual = UsualStep()
-
-    def step(self, stamp_ns: int) -> int:
-        """Add a stamp; return the length of the gap before it [ns], 0 without one."""
-        previous_ns, self._newest_ns = self._newest_ns, stamp_ns
-        if previous_ns is None:
-            return 0
-        step_ns = stamp_ns - previous_ns
-        usual_ns = self._usual.value_ns
-        if usual_ns and step_ns > max(_FAR * usual_ns, CHUNK_NS):
-            self._usual.add_pause(float(step_ns))
-            return step_ns
-        self._usual.add(float(step_ns))
-        return 0
+def gap_before(pair: Pair, newest_ns: int) -> int:
+    """Return the length of the gap between a stamp and the pair after it [ns], 0 without one."""
+    step_ns = pair.stamp_ns - newest_ns
+    is_gap = pair.usual_ns and step_ns > max(_FAR * pair.usual_ns, CHUNK_NS)
+    return step_ns if is_gap else 0

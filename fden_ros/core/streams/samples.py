@@ -61,6 +61,7 @@ class Pair(NamedTuple):
     displacement: float  #: [m]
     position: Position | None  #: of the probe [m]
     tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
+    usual_ns: float = 0.0  #: usual step of the force before it [ns]; 0: not known
 
 
 def lateral_distance(axis: Position, a: Position, b: Position) -> float:

@@ -215,7 +215,7 @@ class Synchronizer:
             value = frames.force_along(vector, moving)
         else:
             value -= load
-        return Pair(epoch, stamp_ns, value, way, position, tilt)
+        return Pair(epoch, stamp_ns, value, way, position, tilt, force.usual_ns)
 
     def _pass(self, before: Sample, moved: Sample) -> None:
         """Keep one sample of the motion for each of its stream, once a pair comes after it."""
