@@ -9,12 +9,12 @@ import math
 from typing import NamedTuple
 
 from fden_ros.core.arrays import NOT_BY_CHANCE
-from fden_ros.core.contact import BRIEF, CHUNK_SAMPLES, SLOW_NS, Onset
-from fden_ros.core.streams import NANOSECONDS, Pair
+from fden_ros.core.contact import CHUNK_SAMPLES, SLOW_NS, Onset
+from fden_ros.core.streams import BRIEF_NS, NANOSECONDS, Pair
 
 #: The force is averaged from 0.2 s to 0.5 s after the probe has come back above the contact point
-#: [s]: adhesion is over by then, and a creeping sensor has hardly recovered.
-_SETTLING = 0.2
+#: [ns]: adhesion is over by then, and a creeping sensor has hardly recovered.
+_SETTLING_NS = 200_000_000
 
 
 class AirChange(NamedTuple):
@@ -55,7 +55,7 @@ class AirAfter:
     @property
     def _end_ns(self) -> int:
         """When the averaging ends [ns]; 0: it has not begun."""
-        return 0 if self._behind_ns is None else self._behind_ns + round(BRIEF * NANOSECONDS)
+        return 0 if self._behind_ns is None else self._behind_ns + BRIEF_NS
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether the contact is to be judged at a stamp: a slow one in this air is then known."""
@@ -74,9 +74,9 @@ class AirAfter:
             return
         if self._behind_ns is None:
             self._behind_ns = pair.stamp_ns
-        elapsed = (pair.stamp_ns - self._behind_ns) / NANOSECONDS
-        self._is_complete = elapsed > BRIEF
-        if _SETTLING <= elapsed <= BRIEF:
+        elapsed_ns = pair.stamp_ns - self._behind_ns
+        self._is_complete = elapsed_ns > BRIEF_NS
+        if _SETTLING_NS <= elapsed_ns <= BRIEF_NS:
             self._size += 1
             self._sum += pair.force
 

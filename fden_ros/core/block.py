@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+from fden_ros.core.contact import SLIGHT
 from fden_ros.core.outputs import Phase
 from fden_ros.core.streams import NANOSECONDS
 
-#: A block is complete at this part of its duration, so that jitter adds no sample.
-_COMPLETE = 0.95
 #: The probe holds while the compression changes by less than this per second [1/s].
 _HOLDING_RATE = 0.005
 
@@ -49,7 +48,8 @@ class BlockSums:
     """
 
     def __init__(self, duration: float, compression: float) -> None:
-        self._duration_ns = round(_COMPLETE * duration * NANOSECONDS)
+        # A block is complete a little earlier, so that jitter adds no sample.
+        self._duration_ns = round((1.0 - SLIGHT) * duration * NANOSECONDS)
         self._most_compression = compression
         self.forget()
 

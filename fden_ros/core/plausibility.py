@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from fden_ros.core.arrays import NOT_BY_CHANCE
-from fden_ros.core.contact import Onset
+from fden_ros.core.contact import SMALL, Onset
 from fden_ros.core.estimation import Prior
 from fden_ros.core.law import FlatPunch, Geometry, elastic_response
 from fden_ros.core.parameter import TINY, parameter
@@ -60,8 +60,6 @@ _LEAST_STRAIN = 0.05
 _TILTED = math.radians(5.0)
 #: Samples farther apart than this are slow; no force sensor has them closer than this [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
-#: The strain is judged anew when it has grown by this factor.
-_GROWTH = 1.1
 #: Likely values of a press, to choose a factor by: force [N], strain rate [1/s].
 _LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
@@ -205,7 +203,8 @@ class Plausibility:
     def _of_rate(self, strain: float, elapsed: float) -> str:
         if 0.0 < self._step < _FASTEST_STEP:
             return too_fast(self._step)
-        if strain <= _GROWTH * self._judged_strain or strain < _LEAST_STRAIN:
+        # It is judged anew when it has grown.
+        if strain <= (1.0 + SMALL) * self._judged_strain or strain < _LEAST_STRAIN:
             return ""
         self._judged_strain = strain
         least = self._config.least_strain_rate

@@ -14,7 +14,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact import BRIEF, Onset
+from fden_ros.core.contact import Onset
 from fden_ros.core.estimation import (
     Budget,
     Estimate,
@@ -33,7 +33,7 @@ from fden_ros.core.lift_off import KnownTissue, LiftOff
 from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
 from fden_ros.core.outputs import Flag
 from fden_ros.core.standing import Standing
-from fden_ros.core.streams import NANOSECONDS, Pair
+from fden_ros.core.streams import BRIEF_NS, NANOSECONDS, Pair
 from fden_ros.core.whereabouts import Whereabouts
 
 #: A contact contradicts the stated rig where one of its quantities is off by more than this
@@ -311,7 +311,7 @@ def prepare(config: PipelineConfig) -> None:
 
 def dips(duration_ns: int) -> bool:
     """Whether a probe that was off the tissue for this time may only have lifted off briefly."""
-    return duration_ns < BRIEF * NANOSECONDS
+    return duration_ns < BRIEF_NS
 
 
 def _new_estimator(

@@ -23,17 +23,17 @@ from scipy.special import stdtrit
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
+from fden_ros.core.contact import SMALL
 from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: Least length of a piece, as a part of the geometry's length and in deviations of the
-#: displacement's noise.
-_LEAST_PIECE, _PIECE_DEVIATIONS = 2.5e-4, 4.0
-#: A window has at least this many pieces, and as many of one length are kept before the two oldest
-#: are joined. A run ends where a piece takes this many times as long as usual, and its slope is
-#: due again when the window has grown by one part in as many.
+#: displacement's noise; pieces of one length before the two oldest are joined.
+_LEAST_PIECE, _PIECE_DEVIATIONS, _PER_LEVEL = 2.5e-4, 4.0, 10
+#: A window has at least this many pieces. A run ends where a piece takes this many times as long
+#: as usual, and its slope is due again when the window has grown by one part in as many.
 _PIECES = 8
-#: Least part of the force's change in the run that a window has; ratio of two windows.
-_LEAST_PART, _WIDER = 0.1, 1.4
+#: Ratio of two windows.
+_WIDER = 1.4
 #: A slope is known to at least this part of itself. A run that goes on with the last one changes
 #: the force by at least this part of that. The envelope of a force saturates where it rises by
 #: less than this part of its rise over as wide a window before, clearly, ...
@@ -109,7 +109,7 @@ class _Run:
         self.width, self.duration = self.width + width, self.duration + duration
         for level in self.levels:
             level.append(piece)
-            if len(level) <= _PIECES:
+            if len(level) <= _PER_LEVEL:
                 return True
             piece = _joined(level.popleft(), level.popleft())
         self.levels.append(deque([piece]))
@@ -215,7 +215,7 @@ def _is_saturated(columns: Array, change: float) -> bool:
             is_flat = abs(slope) + _CLEAR * error < _QUARTER * (rise - _CLEAR * rise_error)
             pace = float(before[0].sum()) / max(float(before[1].sum()), sys.float_info.min)
             is_fast = widths[count - 1] > _SPEED * pace * times[count - 1]
-            if is_flat and is_fast and rise * widths[count - 1] > _LEAST_PART * change:
+            if is_flat and is_fast and rise * widths[count - 1] > SMALL * change:
                 return True
         count += max(count // 5, 1)
     return False
@@ -342,7 +342,7 @@ class MeasuredSlopes:
             return change
         # The relaxation left by a creeping probe in one direction is no loading.
         left = _QUARTER * self._change if run.sign == self._sign else 0.0
-        least = max(_LEAST_PART * change, left)
+        least = max(SMALL * change, left)
         found = _best(columns, run.sign, least, self._noise) if change >= least else None
         if found is None:
             return change

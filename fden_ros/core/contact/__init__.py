@@ -5,13 +5,13 @@
 
 from fden_ros.core.contact.air import CHUNK_SAMPLES, SLOW_NS, ContactConfig
 from fden_ros.core.contact.detector import SLIGHT, ContactDetector, Onset, Release
-from fden_ros.core.contact.surface import BRIEF
+from fden_ros.core.contact.surface import SMALL
 
 __all__ = [
-    "BRIEF",
     "CHUNK_SAMPLES",
     "SLIGHT",
     "SLOW_NS",
+    "SMALL",
     "ContactConfig",
     "ContactDetector",
     "Onset",

@@ -93,11 +93,11 @@ SCALES = (1, 2, 4, 8, 16)
 #: Probability that a mean in the air exceeds its threshold: an hour has 180,000 chunks, and a
 #: contact must also explain the excess better than a drift does.
 _CHANCE = 5e-6
-#: Fewer than 5 chunks give no bias. Bias and noise are known from 12 chunks on: with fewer the
-#: noise may come out so small that noise looks like a contact. The lookback keeps at least 24
-#: chunks, and as many samples as these have at least.
-MIN_CHUNKS, _ENOUGH_CHUNKS = 5, 12
-LEAST_SAMPLES = 2 * _ENOUGH_CHUNKS * CHUNK_SAMPLES
+#: Fewer than 5 chunks give no bias. The lookback keeps at least 24 chunks, and as many samples as
+#: these have at least. Bias and noise are known from half of them on: with fewer the noise may
+#: come out so small that noise looks like a contact.
+MIN_CHUNKS, _KEPT_CHUNKS = 5, 24
+LEAST_SAMPLES = _KEPT_CHUNKS * CHUNK_SAMPLES
 #: A slow contact is detected within 1 s [ns] of its beginning, so chunks of the newest second do
 #: not count.
 SLOW_NS = NANOSECONDS
@@ -207,13 +207,13 @@ class Baseline:
         chunks = self._chunks
         chunks.append(chunk)
         self._count += 1
-        while len(chunks) > 2 * _ENOUGH_CHUNKS and self.is_old(chunks[0].start_ns, chunk.start_ns):
+        while len(chunks) > _KEPT_CHUNKS and self.is_old(chunks[0].start_ns, chunk.start_ns):
             chunks.popleft()
 
     def before(self, chunk: Chunk) -> Air | None:
         """Return the force in the air before `chunk`; None while it is not known."""
         chunks, config = tuple(self._chunks), self._config
-        if len(chunks) < _ENOUGH_CHUNKS:
+        if 2 * len(chunks) < _KEPT_CHUNKS:
             if self.is_measured or not (config.force_noise or config.force_threshold):
                 return None
             return self._measured(chunks or (chunk._replace(square_sum=0.0),))

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import gamma
 
 from fden_ros.core.arrays import NOT_BY_CHANCE, Array
-from fden_ros.core.streams import CHUNK_NS, NANOSECONDS
+from fden_ros.core.streams import BRIEF_NS, CHUNK_NS, NANOSECONDS
 
 #: Growths over the depth at which exponentials are compared with the line: the line bends less
 #: than the first of them, and the steepest is beyond what the noise hides.
@@ -30,9 +30,6 @@ _GROWTHS = (0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0)
 #: than every exponential does. Of 60 simulated touches whose linear part was hidden none was
 #: above; of 99 whose linear part was seen at most 10 were below.
 LEAST_EVIDENCE = 20.0
-#: A probe that was off the tissue for a shorter time than this [s] has not left it: it chatters,
-#: or slides in a palpation of 1 Hz, which leaves the tissue for at most half of its period.
-BRIEF = 0.5
 #: This many times in a window are tried for the onset, then as many about the best; its samples
 #: are averaged into at most twice as many bins. So the work is bounded, whatever a window holds.
 _CANDIDATES = 40
@@ -202,7 +199,10 @@ def _last_way_in(
     way = displacement[first:]
     # As far before it as a probe that came through the air.
     before = np.flatnonzero(way < surface - _clear_way(way, surface_sd))
-    if not before.size or time[first + before[-1]] - time[first + before[0]] < BRIEF:
+    if not before.size:
+        return first
+    away = time[first + before[-1]] - time[first + before[0]]
+    if away < BRIEF_NS / NANOSECONDS:
         return first
     left = int(before[-1])
     return first + left + int(np.argmax(way[left:] >= surface))

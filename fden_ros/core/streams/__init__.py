@@ -20,6 +20,7 @@ from fden_ros.core.streams.rotation import (
     normalised,
 )
 from fden_ros.core.streams.samples import (
+    BRIEF_NS,
     CHUNK_NS,
     NANOSECONDS,
     Pair,
@@ -31,6 +32,7 @@ from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
 from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
 
 __all__ = [
+    "BRIEF_NS",
     "CHUNK_NS",
     "MIN_STEP_NS",
     "NANOSECONDS",

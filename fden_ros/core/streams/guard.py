@@ -10,7 +10,15 @@ from collections import Counter
 from collections.abc import Callable
 
 from fden_ros.core.streams.rotation import TOLERANCE, Quaternion, angle
-from fden_ros.core.streams.samples import CHUNK_NS, NANOSECONDS, Pair, Position, Reason, Sample
+from fden_ros.core.streams.samples import (
+    BRIEF_NS,
+    CHUNK_NS,
+    NANOSECONDS,
+    Pair,
+    Position,
+    Reason,
+    Sample,
+)
 
 #: Smaller changes, relative to the value or to the largest change, are rounding.
 _ROUNDING = 1e-9
@@ -21,9 +29,6 @@ _ROUNDING = 1e-9
 _RUN = 5
 #: Stamps closer than this [ns] are of a single sample: the fractional integral's shortest step.
 MIN_STEP_NS = 10_000
-#: A stamp that is earlier than the newest by more than this [ns], confirmed by the next sample, is
-#: a jump of the clock; by less, a late sample.
-_BACKWARD_JUMP_NS = NANOSECONDS // 2
 #: A step, or a change of the value, beyond 10 usual ones is far, a step also beyond 1 s while they
 #: are not known. It waits for the next sample to confirm it. After a far step this follows within
 #: 1 s, 10 usual steps, or 10 times the step. Since a stamp that is not far ahead makes 10 samples
@@ -210,7 +215,7 @@ class StreamGuard:
         far = max(_FAR * self._usual.value_ns, 0 if self._usual.is_known else NANOSECONDS)
         if MIN_STEP_NS <= step <= far:
             return self._take(sample)
-        if step > far or step < -_BACKWARD_JUMP_NS:
+        if step > far or step < -BRIEF_NS:
             self._held = sample
             return ()
         if step > -MIN_STEP_NS:

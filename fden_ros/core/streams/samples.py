@@ -15,6 +15,10 @@ NANOSECONDS = 1_000_000_000
 #: 20 ms [ns]: the force in the air is averaged over chunks of at least this time. Samples that are
 #: missing for less are no gap.
 CHUNK_NS = 20_000_000
+#: Half a second [ns] is brief. A stamp that goes back by less is late, by more a jump of the
+#: clock. A probe that was off the tissue for less has not left it: it chatters, or slides in a
+#: palpation of 1 Hz, which leaves the tissue for at most half of its period.
+BRIEF_NS = NANOSECONDS // 2
 
 Position = Vector
 
