@@ -32,14 +32,12 @@ MIN_STEP_NS = 10_000
 #: A step, or a change of the value, beyond 10 usual ones is far, a step also beyond 1 s while they
 #: are not known. It waits for the next sample to confirm it. After a far step this follows within
 #: 1 s, 10 usual steps, or 10 times the step. Since a stamp that is not far ahead makes 10 samples
-#: late, twice as many consecutive late ones, in order, are also a jump of the clock.
+#: late, twice as many consecutive late ones, in order, are also a jump of the clock. No pause and
+#: no spike counts as more than 10 in the mean of the usual ones.
 _FAR = 10
 #: The means of the step between stamps and of the change between values are over 32 samples, and
 #: are used for tests from this number on.
 USUAL_SAMPLES = 32
-#: A change, or a step, enters its mean as at most 4 times the mean, so that no spike and no pause
-#: moves it.
-_MOST_GROWTH = 4.0
 #: A turn of a frame counts as the motion of a point this far from it [m].
 _LEVER = 0.1
 
@@ -102,7 +100,7 @@ class Usual:
         """Add a value."""
         self.count += 1
         mean = self.mean or value
-        growth = min(value, _MOST_GROWTH * mean) - mean
+        growth = min(value, _FAR * mean) - mean
         self.mean = mean + growth / min(self.count, USUAL_SAMPLES)
 
 
