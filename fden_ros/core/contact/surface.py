@@ -45,9 +45,8 @@ _ENCODER_STEPS = 2.0
 #: steps of a chunk: then the swing of the force while it moves is known.
 _LASTING, _MOTION_SHARE = 0.15, 0.3
 _MOTION_STEP = CHUNK_NS / NANOSECONDS
-#: Acceleration and force are averaged over twice this time [s]; the force follows the acceleration
-#: from a correlation of this many standard deviations on: that of white noise reaches four.
-_AVERAGED, _FOLLOWS = 0.004, 8.0
+#: Acceleration and force are averaged over twice this time [s].
+_AVERAGED = 0.004
 
 
 class Approach(NamedTuple):
@@ -94,7 +93,7 @@ class Approach(NamedTuple):
         power = float(acceleration @ acceleration)
         mass = float(acceleration @ mean) / max(power, sys.float_info.min)
         left = float(np.std(mean - mass * acceleration)) * math.sqrt(2.0 * n)
-        if mass * math.sqrt(power) <= _FOLLOWS * left:
+        if mass * math.sqrt(power) <= NOT_BY_CHANCE * left:
             return 0.0, 0.0
         return mass, mass * float(np.abs(acceleration).max())
 
