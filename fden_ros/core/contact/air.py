@@ -165,10 +165,6 @@ class Air(NamedTuple):
     slope: float = 0.0  #: [N/s]; 0: not significant
     slope_sd: float = 0.0  #: [N/s]
 
-    def at(self, stamp_ns: int) -> float:
-        """Return the force at another time [N]."""
-        return self.value + self.slope * (stamp_ns - self.end_ns) / NANOSECONDS
-
 
 class Baseline:
     """Bias, drift and noise of the force, from chunks in the air.
@@ -226,7 +222,8 @@ class Baseline:
 
     def bias_at(self, stamp_ns: int) -> float:
         """Return the force without contact [N], its trend extrapolated to `stamp_ns`."""
-        return self._air.at(stamp_ns) if self._air and self.is_measured else 0.0
+        air = self._air if self.is_measured else None
+        return air.value + air.slope * (stamp_ns - air.end_ns) / NANOSECONDS if air else 0.0
 
     def excess(self, chunk: Chunk) -> Excess:
         """Return how far the force up to a chunk that is not kept yet exceeds the air."""

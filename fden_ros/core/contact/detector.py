@@ -238,7 +238,8 @@ class ContactDetector:
         rise, evidence = self._rise, approach.evidence
         if self._has_released and not approach.has_advanced():
             evidence = 0.0
-        rise.look_ns = now_ns + round(SMALL * approach.lasting * NANOSECONDS)
+        lasting = float(approach.time[-1] - approach.time[approach.first])
+        rise.look_ns = now_ns + round(SMALL * lasting * NANOSECONDS)
         if evidence < LEAST_EVIDENCE:
             # A drift, which rises whatever the probe does, or the beginning of a contact that is
             # still too faint.

@@ -61,11 +61,6 @@ class Approach(NamedTuple):
     evidence: float  #: chi-squared by which a contact explains the force better than a drift does
     shows_surface: bool  #: the force rose along a line from there, not exponentially
 
-    @property
-    def lasting(self) -> float:
-        """Since when the probe is behind the surface [s]."""
-        return float(self.time[-1] - self.time[self.first])
-
     def came_through_air(self) -> bool:
         """Whether the probe came to the surface through the air."""
         before = self.displacement[: self.first]
@@ -197,14 +192,11 @@ def _last_way_in(
     first = int(np.searchsorted(time, onset_time))
     way = displacement[first:]
     # As far before it as a probe that came through the air.
-    before = np.flatnonzero(way < surface - _clear_way(way, surface_sd))
-    if not before.size:
-        return first
-    away = time[first + before[-1]] - time[first + before[0]]
-    if away < BRIEF_NS / NANOSECONDS:
-        return first
-    left = int(before[-1])
-    return first + left + int(np.argmax(way[left:] >= surface))
+    before = first + np.flatnonzero(way < surface - _clear_way(way, surface_sd))
+    if before.size and time[before[-1]] - time[before[0]] >= BRIEF_NS / NANOSECONDS:
+        first = int(before[-1])
+        first += int(np.argmax(displacement[first:] >= surface))
+    return first
 
 
 class _Bins:
