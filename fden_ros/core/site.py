@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import NamedTuple
 
@@ -172,9 +171,9 @@ class Site(Standing):
     def may_go_on_as(self, new: Estimator, onset: Onset, other: Site) -> None:
         """Pass this tissue to the estimator of another site, of tissue at rest: they may be one.
 
-        It gets a copy: a later touch here continues from the knowledge of this site.
+        A later touch here continues from the knowledge of this site.
         """
-        own = copy.deepcopy(self._estimator) if self.is_observed else None
+        own = self._estimator if self.is_observed else None
         if not (isinstance(own, GridEstimator) and isinstance(new, GridEstimator)):
             return
         other._pause = self._pause + self._pause_until(onset.samples[0].stamp_ns)

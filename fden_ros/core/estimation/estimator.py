@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converg
 from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Setting, Touch
+from fden_ros.core.estimation.grid import Grid
 from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.place import PlacePosterior
 from fden_ros.core.estimation.posterior import Posterior
@@ -36,7 +37,7 @@ _ODDS, _FAR = 20.0, 200.0
 #: where the logarithm of its odds has changed by this.
 _STALE = 2.0
 #: Least time between two rounds [s].
-_ROUND_TIME = 0.03
+_ROUND_TIME = 0.04
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -54,7 +55,8 @@ class _Hypothesis:
     log_prior: float = 0.0  #: before the press that is open, or the last
     shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
     base: float = 0.0  #: log evidence of its record before this counts
-    laid_odds: float = 0.0  #: logarithm of the odds to the best when its grid was laid
+    grid: Grid | None = None  #: the newest
+    laid_odds: float = 0.0  #: logarithm of the odds to the best when that was laid
 
     @property
     def log_weight(self) -> float:
@@ -84,6 +86,7 @@ class GridEstimator(Estimator):
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
         self._block_at = self._round_at = 0.0  #: the newest block and round [s]
+        self._newest = self._prior()  #: estimate
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -128,6 +131,7 @@ class GridEstimator(Estimator):
         on_tissue: Sequence[bool],
     ) -> Estimate:
         """Take samples of the press; see :meth:`~.estimation.Estimator.add`."""
+        is_new = False
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
             if self._touched_at + time < self._now:
                 continue  # the press before had it
@@ -137,19 +141,18 @@ class GridEstimator(Estimator):
                 for one in self._hypotheses
             ]
             if any(done):
+                is_new = True
                 self._take_turns()
         self._count += len(times)
-        return self.estimate()
+        return self.estimate() if is_new else self._as_before()
 
     def _take_turns(self) -> None:
         """Lay a round of the place that has waited for longest, at most one each 30 ms.
 
         A block of a slow sensor has the time of several.
         """
+        self._note_odds()
         possible, best = self._possible(_FAR), max(one.log_weight for one in self._hypotheses)
-        for one in self._hypotheses:
-            if one.place.is_fresh:
-                one.laid_odds, self._round_at = one.log_weight - best, self._now
         stale = [
             one for one in self._hypotheses if abs(one.log_weight - best - one.laid_odds) > _STALE
         ]
@@ -161,11 +164,24 @@ class GridEstimator(Estimator):
             places = [one.place for one in self._hypotheses if one.place.is_due or one in stale]
             due = [place for place in places if not place.gate.is_beyond]
             if due:
-                min(due, key=lambda place: place.laid_at).lay()
-                stale = [one for one in stale if not one.place.is_fresh]
+                own = min(due, key=lambda place: place.laid_at)
+                own.lay()
+                stale = [one for one in stale if one.place is not own]
             elif not self.best.ask():
                 break
             self._round_at = self._now
+            self._note_odds()
+
+    def _note_odds(self) -> None:
+        """Take note of the odds of places whose grid is new."""
+        best = max(one.log_weight for one in self._hypotheses)
+        for one in self._hypotheses:
+            if (own := one.place.filter) is not None and own.grid is not one.grid:
+                one.grid, one.laid_odds, self._round_at = (
+                    own.grid,
+                    one.log_weight - best,
+                    self._now,
+                )
 
     def release(self) -> Estimate:
         """End the press; return the estimate."""
@@ -247,7 +263,13 @@ class GridEstimator(Estimator):
 
     def _estimate(self, parts: Sequence[_Part]) -> Estimate:
         found = self._mixed(parts) if parts else self._prior()
-        return found._replace(sample_count=self._count)
+        self._newest = found
+        return self._as_before()
+
+    def _as_before(self) -> Estimate:
+        """Return the newest estimate, by now."""
+        motions = tuple(replace(one, now=self._now) for one in self._newest.small_motions)
+        return self._newest._replace(sample_count=self._count, small_motions=motions)
 
     def _parts(self) -> list[_Part]:
         known = [one for one in self._hypotheses if one.place.filter is not None]

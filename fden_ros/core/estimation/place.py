@@ -36,11 +36,12 @@ from fden_ros.core.estimation.grid import (
 from fden_ros.core.estimation.law import Law
 from fden_ros.core.estimation.nuisance import Nuisance, rig_of, spot_of
 from fden_ros.core.estimation.posterior import Posterior
-from fden_ros.core.estimation.record import LINE_TOLERANCE, Block, Record
+from fden_ros.core.estimation.record import LINE_TOLERANCE, TOUCH_TIME, Block, Record
 from fden_ros.core.estimation.rival import Rival
 
-#: Blocks and time [s] from the touch that the first grid of a press needs.
-_LEAST_BLOCKS, _LEAST_TIME = 8, 0.03
+#: Blocks and time [s] from the touch that the first grid of a press needs: until then each sample
+#: is a block.
+_LEAST_BLOCKS, _LEAST_TIME = 8, TOUCH_TIME
 #: A grid is laid anew where depth or time have grown by this factor [1].
 _GROWTH = 1.25
 #: Cells of a press while it is open, when it is gathered anew, and of one that has ended [1].
@@ -142,11 +143,6 @@ class PlacePosterior:
             found._spot = max([*self._spots, 0]) + 1
             found._spots = self._spots | {found._spot: spot_of(contact_point_sd)}
         return found
-
-    @property
-    def is_fresh(self) -> bool:
-        """Whether its grid is of the record by now."""
-        return not self._tails
 
     @property
     def is_settled(self) -> bool:

@@ -9,6 +9,8 @@ Blocks that follow one line within the noise of the motion have that line, or no
 would count as motion.
 
 - Near the touch every sample is a block of its own.
+- Blocks grow with the time since the motion last turned, as the relaxation is one of its
+  logarithm.
 - A block ends early where the motion leaves its line.
 - Where the probe rests, blocks grow with the time since the motion last changed.
 
@@ -26,12 +28,16 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Duration of a block [s], and how long single samples are kept behind the first [s].
+#: Least duration of a block [s], and how long single samples are kept behind the first [s].
 BLOCK_TIME, TOUCH_TIME = 0.01, 0.05
+#: A block may last for this part of the time of its line [1], and as long at most [s].
+_GROWTH, _LONGEST = 0.05, 0.03
 #: How far the motion may be off its line beside its noise [1]; times that are the same [s].
 LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
 _LINE_DEVIATIONS = 4.0
+#: A turn further off than this counts where it is [1].
+_KINK = 1e-4
 #: Blocks of one press [1]; where there would be more, each two become one.
 MOST_BLOCKS = 600
 #: Above this noise of the indentation a sample alone tells nothing of the touch [1].
@@ -74,6 +80,16 @@ class Cell:
     product: float = 0.0
     stress: float = 0.0
     end: float = 0.0
+
+    @classmethod
+    def of(cls, samples: Array) -> Cell:
+        """Return the block of observed samples: times, indentations and stresses, (3, n)."""
+        t, (u, f) = samples[0] - samples[0, 0], samples[1:]
+        time, square, indentation, product, stress = (
+            float(one) for one in (t.sum(), t @ t, u.sum(), t @ u, f.sum())
+        )
+        start, end = float(samples[0, 0]), float(samples[0, -1])
+        return cls(start, True, t.size, time, square, indentation, product, stress, end)
 
     def add(self, time: float, indentation: float, stress: float) -> None:
         """Take a sample."""
@@ -173,7 +189,7 @@ class Record:
         self._path_begin = 0  # its first block
         self._open: Cell | None = None
         self._start: float | None = None
-        self._changed = 0.0
+        self._changed = self._turned = 0.0  #: when the motion changed last, and left its line [s]
         self._block_time = BLOCK_TIME
         self.deepest = -math.inf  #: largest indentation observed [1]
 
@@ -191,12 +207,14 @@ class Record:
         `is_observed`: its stress counts, not only its motion.
         """
         if self._start is None:
-            self._start = self._changed = time
-        done: list[Block] = []
-        if self._open is not None and self._is_complete(
-            self._open, time, indentation, is_observed
-        ):
-            done = self.close()
+            self._start = self._changed = self._turned = time
+        done, cell = list[Block](), self._open
+        if cell is not None:
+            turns = self._turns(cell, time, indentation)
+            if turns:
+                self._turned = time
+            if self._is_complete(cell, time, is_observed, turns=turns):
+                done = self.close()
         if self._open is None:
             self._open = Cell(time, is_observed)
         self._open.add(time, indentation, stress)
@@ -204,7 +222,15 @@ class Record:
             self.deepest = max(self.deepest, indentation)
         return done
 
-    def _is_complete(self, cell: Cell, time: float, indentation: float, observed: bool) -> bool:
+    def _turns(self, cell: Cell, time: float, indentation: float) -> bool:
+        """Whether a sample is off the line of a block."""
+        if cell.count < 2:
+            return False
+        spread = math.sqrt(1.0 + 4.0 / cell.count)
+        most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
+        return abs(indentation - cell.at(time)) > most
+
+    def _is_complete(self, cell: Cell, time: float, observed: bool, *, turns: bool) -> bool:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
@@ -213,13 +239,8 @@ class Record:
             return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
-            return True
-        if cell.count < 2:
-            return False
-        spread = math.sqrt(1.0 + 4.0 / cell.count)
-        most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
-        return abs(indentation - cell.at(time)) > most
+        longest = max(self._block_time, min(_GROWTH * (cell.start - self._turned), _LONGEST))
+        return turns or time - cell.start > longest - 0.5 * step + SAME_TIME
 
     def close(self) -> list[Block]:
         """End the open block; return what this completes."""
@@ -233,7 +254,7 @@ class Record:
         if self._cells and self._joins(self._cells[-1], cell):
             cell = self._cells.pop().merged(cell)
             self._blocks.pop()
-        elif path is not None and longer is None and (end := self._end_of(path)) is not None:
+        elif path is not None and longer is None and (end := self._end_of(path, cell)) is not None:
             self._cells.append(end)
             self._blocks.append(end.block())
             done.insert(0, self._blocks[-1])
@@ -253,14 +274,15 @@ class Record:
         newest = [block.along(path) for block in self._blocks[self._path_begin :]]
         return self._blocks[: self._path_begin] + newest
 
-    def _end_of(self, path: Cell) -> Cell | None:
+    def _end_of(self, path: Cell, after: Cell) -> Cell | None:
         """Return the last step of the motion along a path; None: the last block has it nearly.
 
-        The two points of a long block are far from its end, and the motion would turn there.
+        The two points of a block are before its end: the motion would turn there.
         """
         last = self._cells[-1]
         middle, spread, _, _ = last.line()
-        if last.end - middle - spread <= max(last.step, BLOCK_TIME) + SAME_TIME:
+        left = last.end - middle - spread
+        if abs(after.line()[3] - path.line()[3]) * left <= _KINK:
             return None
         end = Cell(last.end - last.step, False)
         for time in (end.start, last.end):
@@ -331,12 +353,8 @@ class Approach:
         gone = (times - times[0]) / max(np.ptp(times), SAME_TIME)
         gone += (forward - forward[0]) / max(np.ptp(forward), LINE_TOLERANCE)
         places = np.searchsorted(gone, np.linspace(0.0, gone[-1], 13)[1:-1])
-        for part in np.split(own, np.unique(places), axis=1):
-            if part.size:
-                cell = Cell(float(part[0, 0]), True)
-                for sample in part.T.tolist():
-                    cell.add(*sample)
-                self._seen.append(cell)
+        parts = np.split(own, np.unique(places), axis=1)
+        self._seen += [Cell.of(part) for part in parts if part.size]
 
     def cells(self, cells: Sequence[Cell]) -> list[Cell]:
         """Return the motion before the first block where the touch may have been before that one.
