@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from fden_ros.configure.signs import Course, find_signs
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import survey
 from simulation.scenario import (
@@ -92,14 +91,3 @@ def test_signs_of_slow_presses_are_right_or_left_open(seeds):
     assert [name for one in verdicts for name in one.wrong] == []
     clear = [one.is_open for one in verdicts if one.is_clear]
     assert sum(clear) <= max(1, 0.05 * len(clear))
-
-
-def test_a_few_chunks_of_noise_tell_no_sign():
-    times = 0.2 * np.arange(24)
-    motion = np.interp(times, [0.0, 1.2, 2.4, 3.6, 4.8], [0.0, 1.0, 0.0, 1.0, 0.0])
-    for seed in range(60):
-        draw = np.random.default_rng(seed)
-        push = draw.normal(0.0, 1.0, times.size)
-        place = motion + draw.normal(0.0, 1e-3, times.size)
-        course = Course(times, place, push, np.ones(times.size, bool), 1.0)
-        assert not find_signs([course]).is_stated, seed

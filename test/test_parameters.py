@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PointStamped, Vector3, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from pipeline_helpers import LIVER_PARAMETERS, refusal
 from sensor_msgs.msg import JointState
 
@@ -29,7 +29,6 @@ from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer
 from fden_ros.inputs import Inputs
-from fden_ros.message_kinds import FORCES, MessageKind
 from fden_ros.parameters import (
     PARAMETERS,
     Parameters,
@@ -38,7 +37,6 @@ from fden_ros.parameters import (
     read_parameter_file,
     tool_weight,
 )
-from fden_ros.parameters.table import parameter_named
 from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,
@@ -113,12 +111,6 @@ SPHERE = {"geometry.kind": "sphere", "geometry.radius": 0.01}
 )
 def test_geometry_is_made_of_its_parameters(values, geometry):
     assert pipeline_config(check(values)).geometry == geometry
-
-
-@pytest.mark.parametrize("kind", parameter_named("geometry.kind").choices)
-def test_the_sizes_of_a_geometry_are_parameters(kind):
-    sizes = replace(check({}).geometry, kind=kind).build().sizes
-    assert {f"geometry.{size}" for size in sizes} <= {parameter.name for parameter in PARAMETERS}
 
 
 def test_no_default_stands_twice():
@@ -238,15 +230,6 @@ def test_parameter_says_what_of_a_message_counts(name):
         inputs = Inputs(check(parameters), samples)
         inputs.add(stream, message)
         assert samples.heard == [(stream, number)]
-
-
-def test_a_new_type_of_message_is_one_row(monkeypatch):
-    kind = MessageKind("geometry_msgs/msg/Vector3Stamped", "vector")
-    monkeypatch.setitem(FORCES, "new", kind)
-    samples = Samples()
-    message = Vector3Stamped(vector=Vector3(x=1.0, z=3.0))
-    Inputs(check({"force.inverted": True}), samples).add("force", message)
-    assert samples.heard == [("force", 3.0)]
 
 
 # What parameters do to what comes out, where no test of what they are for shows it

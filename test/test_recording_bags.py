@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +16,16 @@ import sensor_msgs.msg
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
-from property_helpers import examples
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from fden_ros.cli import main
 from fden_ros.errors import InputError
-from fden_ros.offline.replay import replay
-from fden_ros.parameters import check
 from fden_ros.recording.message_types import known_types, serialize, type_hash
 from fden_ros.recording.qos import LATCHED, RELIABLE
 from fden_ros.recording.reader import BagReader, decode, read_truth
-from fden_ros.recording.source import Selection
-from fden_ros.recording.table import Columns
 from fden_ros.recording.writer import BagWriter
 
 START = 1_700_000_000_000_000_000
@@ -202,58 +195,3 @@ def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
 
 
 # Whatever stands in a file is read, or refused in one line
-
-
-TABLE = b"time_s,force_N,depth_mm\n1,0,0\n1.1,0.1,1\n1.2,0.2,2\n"
-
-Read = Callable[[Path], object]
-#: At a place so many bytes are cut out, and others put in.
-damages = st.lists(
-    st.tuples(st.integers(0, 10**6), st.integers(0, 20), st.binary(max_size=20)),
-    min_size=1,
-    max_size=4,
-)
-
-
-def read_table(path: Path) -> object:
-    columns = Columns.parse("time_s,force_N,depth_mm*1e-3")
-    return replay(path, check({}), Selection(columns=columns))
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Read]]:
-    """Good files, each alone in its place, and what reads them."""
-    folder = tmp_path_factory.mktemp("good")
-    bag = folder / "bag"
-    with BagWriter(bag) as writer:
-        writer.add_topic("/force", "geometry_msgs/msg/WrenchStamped")
-        writer.add_topic("/joints", "sensor_msgs/msg/JointState")
-        for k in range(1, 4):
-            force, joints = WrenchStamped(), JointState(name=["probe"], position=[0.0])
-            force.header.stamp.sec = joints.header.stamp.sec = k
-            writer.write("/force", force, k)
-            writer.write("/joints", joints, k)
-    (folder / "table.csv").write_bytes(TABLE)
-    return {
-        "mcap": (bag / "bag.mcap", lambda path: replay(path.parent, check({}))),
-        "metadata": (bag / "metadata.yaml", lambda path: replay(path.parent, check({}))),
-        "table": (folder / "table.csv", read_table),
-    }
-
-
-@pytest.mark.parametrize("kind", ["mcap", "metadata", "table"])
-@examples(60)
-@given(edits=damages)
-def test_a_damaged_file_is_read_or_refused_in_one_line(kind, files, edits):
-    path, read = files[kind]
-    good = content = path.read_bytes()
-    for place, count, new in edits:
-        place %= len(content) + 1
-        content = content[:place] + new + content[place + count :]
-    path.write_bytes(content)
-    try:
-        read(path)
-    except InputError as error:
-        assert "\n" not in str(error)
-    finally:
-        path.write_bytes(good)

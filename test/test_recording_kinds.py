@@ -25,6 +25,7 @@ from recording_kinds import (
     START,
     TABLES,
     Table,
+    alone,
     bag_of,
     small,
 )
@@ -122,14 +123,21 @@ def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
     assert results[0]["contacts"][0]["converged"]
 
 
-@pytest.mark.parametrize("kind", ["sqlite3 file", "ROS 1", "ROS 1 in lz4"])
+@pytest.mark.parametrize("kind", ["sqlite3 file", "ROS 1", "ROS 1 in lz4", "MCAP", "table"])
 def test_bytes_damaged_anywhere_are_read_or_refused_in_one_line(kind, tmp_path):
-    path = bag_of(kind, tmp_path, small())
+    if kind == "table":
+        path = reader_of(tmp_path, Table(NEWTONS + "".join(f"{k},1,2\n" for k in range(99)))).path
+    else:
+        path = bag_of(kind, tmp_path, small())
+        path = alone(path) if path.is_dir() else path
     content = path.read_bytes()
-    for place in range(20, len(content), len(content) // 60):
+    for place in range(0 if kind == "table" else 20, len(content), len(content) // 60):
         path.write_bytes(content[:place] + b"\xa5" * 9 + content[place + 9 :])
         try:
-            read = list(BagReader(path).messages())
+            if kind == "table":
+                read = TableReader(path).stamps.tolist()
+            else:
+                read = list(BagReader(path).messages())
         except InputError as error:
             assert "\n" not in str(error)
         else:

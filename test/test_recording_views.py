@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from fden_ros.inputs import TYPE_NAMES
 from fden_ros.offline.results import DIAGNOSTICS_TOPIC, NODE
 from fden_ros.parameters import Parameters
 from fden_ros.recording.message_types import message_class
 from fden_ros.ros.messages import type_name
-from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.ros.topics import OUTPUT_TOPICS
 
 CONFIG = Path(__file__).parent.parent / "config"
@@ -26,11 +24,6 @@ TYPES = {f"{NODE}/{topic.name}": type_name(topic.message_type) for topic in OUTP
     DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
     "/force": "geometry_msgs/msg/WrenchStamped",
     "/displacement": TYPE_NAMES["displacement"][Parameters().displacement.message],
-}
-DISPLAYS = {
-    "PointCloud2": "sensor_msgs/msg/PointCloud2",
-    "Pose": "geometry_msgs/msg/PoseStamped",
-    "Wrench": "geometry_msgs/msg/WrenchStamped",
 }
 
 
@@ -64,17 +57,3 @@ def test_every_path_of_a_layout_exists(layout, separator):
     for fields in re.findall(r"const \{ (.*) \} = event.message;", text):
         message = message_class(TYPES["/identifier/estimate"])()
         assert all(hasattr(message, field) for field in fields.split(", "))
-
-
-def test_every_display_of_rviz_has_a_topic_of_its_type():
-    manager = yaml.safe_load((CONFIG / "identifier.rviz").read_text())["Visualization Manager"]
-    shown = [d for d in manager["Displays"] if "Topic" in d]
-    assert len(shown) == 3
-    fields = {field.name for field in StiffnessMap().cloud().fields}
-    # RViz shows the probe where it is published as a pose; a joint has no place.
-    types = TYPES | {"/displacement": "geometry_msgs/msg/PoseStamped"}
-    for display in shown:
-        kind, topic = display["Class"].rpartition("/")[2], display["Topic"]["Value"]
-        assert kind != "PointCloud2" or display["Channel Name"] in fields
-        # Below the namespace of RViz itself.
-        assert types[f"/{topic}"] == DISPLAYS[kind]

@@ -19,14 +19,6 @@ from pipeline_helpers import refusal
 from property_helpers import first
 from sensor_msgs.msg import JointState
 
-from benchmark.other_laws import (
-    Law,
-    Relaxation,
-    poroelastic,
-    quasi_linear,
-    standard_linear_solid,
-    stress_of_law,
-)
 from fden_ros.parameters import check
 from fden_ros.simulation import Column, FdenModel
 from fden_ros.simulation import Tissue as SteppedTissue
@@ -191,38 +183,6 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands():
         assert "fill exactly one" in simulator.output
 
 
-# Simulated tissue of other laws: relaxations, wear, contact
-
-
-LINEAR = FdenModel(1000.0, 0.5, 0.2)
-COARSE_STEP = 0.002
-
-
-def ramp_and_hold(strain=0.25, ramp=1.0, stop=5.0):
-    times = COARSE_STEP * np.arange(1, round(stop / COARSE_STEP) + 1)
-    return times, np.interp(times, [0.0, ramp], [0.0, strain])
-
-
-@pytest.mark.parametrize(
-    "relaxation",
-    [
-        standard_linear_solid(2.0),
-        poroelastic(3.0),
-        quasi_linear(0.15, 0.01, 100.0),
-        Relaxation(springpots=((0.5, 0.1), (0.5, 0.4)), exponentials=((0.3, 0.0),)),
-    ],
-)
-def test_a_ramp_leaves_the_integral_of_the_relaxation(relaxation):
-    # Linear tissue: f(t) = G v int_0^t g.
-    times, strains = ramp_and_hold(strain=0.1, ramp=2.0, stop=2.0)
-    found = stress_of_law(Law(LINEAR, relaxation), strains, COARSE_STEP)
-    # u^5 takes the singularity at 0 away.
-    nodes = (np.arange(20_000) + 0.5) / 20_000
-    end = times[-1]
-    integral = float(np.mean(relaxation.at(end * nodes**5) * 5.0 * nodes**4)) * end
-    assert found[-1] == pytest.approx(1000.0 * 0.05 * integral, rel=1e-3)
-
-
 # Scenario files: those that come along, and what is said about wrong ones
 
 
@@ -337,17 +297,6 @@ def recorded(press=None, **arguments):
 def exact_force(times, strain):
     """Return the force of the law along a strain (n,) that is 0 first, at the same times."""
     return AREA * stress_of_piecewise_linear_strain(times, strain, times, MODEL)
-
-
-def test_steps_of_time_agree_with_the_closed_form():
-    exact = recorded()
-    # A dent after the press changes nothing in it, but the tissue is stepped.
-    stepped = recorded(disturbances=Disturbances(plastic_set_m=1e-9))
-    assert stepped.truth["disturbances"]["plastic_set_m"] == 1e-9
-    peak = exact.force.value.max()
-    np.testing.assert_allclose(stepped.force.value, exact.force.value, rtol=0, atol=2e-3 * peak)
-    np.testing.assert_allclose(contact_times(stepped), contact_times(exact), atol=2e-3)
-    assert stepped.displacement.value.tobytes() == exact.displacement.value.tobytes()
 
 
 @pytest.mark.parametrize("kind", ["breathing", "compliance"])

@@ -18,21 +18,12 @@ from pipeline_helpers import identified, items_of, summaries_of
 from rich.console import Console
 
 from fden_ros.advice import FLAGS
-from fden_ros.advice import SOURCES as REMEDIES
 from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import (
-    Budget,
-    EstimatorConfig,
-    ParameterSet,
-    Uncertainty,
-)
 from fden_ros.core.law import ApparentStiffness, FlatPunch
 from fden_ros.core.outputs import (
-    Classification,
     ContactSummary,
     Decided,
-    Decision,
     Flag,
     Phase,
     Status,
@@ -40,14 +31,12 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.report import apparent_stiffness_of
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
-from fden_ros.offline.advice import findings, shortfall
-from fden_ros.offline.rows import CORRELATIONS, contact_row
+from fden_ros.offline.advice import findings
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.message_types import decoder, serialize
 from fden_ros.report.numbers import result
 from fden_ros.report.table import contact_table, status_words
 from fden_ros.ros.messages import (
-    classification_message,
     estimate_message,
     state_of,
     summary_message,
@@ -103,17 +92,6 @@ SUMMARY = summary(
 )
 
 
-def test_decision_goes_into_the_message_with_its_flags():
-    output = Classification(
-        1, Decision.CLASS, 1, 1, Flag.MODEL_MISMATCH, CLASSES, "mine", Decided(0.8, 0.21)
-    )
-    message = classification_message(output, "probe")
-    assert message.flags == Flag.MODEL_MISMATCH
-    assert (message.label, message.p_value) == ("liver", 0.4)
-    assert (message.decision_time, message.decision_strain) == (0.8, 0.21)
-    assert np.isnan([message.ratio, message.ratio_low, message.ratio_high]).all()
-
-
 def test_summary_comes_back_from_its_message():
     sent = replace(SUMMARY, decided=Decided(0.8, 0.21))
     back = summary_of(summary_message(sent, "probe"))
@@ -147,13 +125,6 @@ def test_the_table_wraps_no_word_at_80_columns(flags):
     assert "1,050 ± 110" in text and "1,600 at 3.7" in text
 
 
-def test_row_of_a_table_has_the_correlations():
-    row = contact_row(SUMMARY, None)
-    for name, (i, j) in CORRELATIONS.items():
-        expected = COVARIANCE[i, j] / math.sqrt(COVARIANCE[i, i] * COVARIANCE[j, j])
-        assert row[name] == pytest.approx(expected)
-
-
 # A contact that has not converged says why, in numbers, and what would help
 
 
@@ -180,45 +151,6 @@ def pressed(
     }
     (contact,) = summaries_of(identified(items_of(simulate(scenario)), parameters)[1])
     return contact, pipeline_config(check(parameters))
-
-
-def lacking(
-    source: str, index: int, deviation: float, stress_noise: float = 160.0, **more: Any
-) -> tuple[str, ContactSummary]:
-    """Return what is said where one source makes all of the variance of ln G or ln Gn."""
-    covariance = np.diag([1e-4, 1e-4, 1e-4])
-    covariance[index, index] = deviation**2
-    known = ParameterSet.ALL & ~(1 << index)
-    variances = covariance[0, 0], covariance[1, 1]
-    parts = {name: (0.0, 0.0) for name in REMEDIES}
-    parts[source] = (0.9 * variances[0], 0.9 * variances[1])
-    contact = summary(
-        converged=False,
-        estimate=ESTIMATE._replace(covariance=covariance, known=known),
-        max_force=0.016,
-        end_ns=1_000_000_000,
-        start_ns=0,
-        sample_count=100,
-        budget=Budget(variances, parts, stress_noise=stress_noise, surface_sd=0.02),
-        **more,
-    )
-    rig = Uncertainty(0.0, surface_motion_sd=1e-4, compliance_sd=1e-4)
-    config = PipelineConfig(
-        None,
-        geometry=FlatPunch(math.pi * RADIUS**2, 0.02),
-        estimator=EstimatorConfig(uncertainty=rig, converged_log_gn_sd=0.05),
-    )
-    words = shortfall(contact, config)
-    assert "\n" not in words
-    return words, contact
-
-
-@pytest.mark.parametrize("source", REMEDIES)
-def test_the_largest_source_is_named_with_its_share_and_its_remedy(source):
-    words, _ = lacking(source, 1, 0.12)
-    assert words.startswith("Gn is known to 12 % only")
-    assert f"90 % of the variance: {REMEDIES[source].sentence}" in words
-    assert words.endswith(REMEDIES[source].remedy)
 
 
 def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
