@@ -74,6 +74,7 @@ def printed(*contacts: ContactSummary) -> str:
         (239.0, 250.0, True, "below 1,400"),  # 239 exp(1.645 250/239) = 1336
         (0.31, 0.31, True, "below 1.7"),
         (239.0, 708.0, True, "–"),
+        (0.131, 3e-17, True, "0.131"),  # alpha as given, from moments of the nodes
     ],
 )
 def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(

@@ -15,6 +15,8 @@ from fden_ros.written import written
 DASH = "–"
 #: Values within these have decimal places, others significant digits.
 _SMALL, _LARGE = 1e-2, 1e7
+#: A deviation below this share of its value is rounding.
+_EXACT = 1e-9
 #: Below this many standard deviations a number of the order of 1 lies with 95 %.
 _UPPER = 1.645
 #: A bound this many times the value is useless.
@@ -26,7 +28,7 @@ def plus_minus(value: float, deviation: float, most_digits: int = 17) -> str:
 
     The value has at most `most_digits` significant digits.
     """
-    if not deviation > 0.0 or not math.isfinite(deviation):
+    if not deviation > _EXACT * abs(value) or not math.isfinite(deviation):
         return written(value, 4)
     if not _SMALL <= abs(value) < _LARGE or deviation >= _LARGE:
         return f"{written(value, 3)} ± {written(deviation, 2)}"

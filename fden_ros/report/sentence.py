@@ -55,7 +55,7 @@ def _of_one(place: ContactSummary, config: PipelineConfig) -> tuple[str, str]:
     depth = 1e3 * geometry.length * geometry.compression(max(place.max_strain, 0.0))
     number, rest = "Stiffness not known", ""
     if Flag.IMPLAUSIBLE not in place.flags and stiffness(found) != DASH:
-        number, rest = f"{stiffness(found, 3)} N/m", f" at {written(depth, 2)} mm"
+        number, rest = f"{stiffness(found, 4)} N/m", f" at {written(depth, 2)} mm"
     elif Flag.IMPLAUSIBLE not in place.flags and measured is not None:
         number, rest = f"Slope {slope_words(measured)}", ", as measured"
     tissue, remedy = _tissue(place), next_step(place, config)
