@@ -21,16 +21,10 @@ from fden_ros.core.classification import (
 )
 from fden_ros.core.classification.classifier import classify, likelihood_of, log_evidence
 from fden_ros.core.classification.labelling import Decider
-from fden_ros.core.classification.relative import (
-    LEAST_SURROUNDINGS,
-    compare,
-)
+from fden_ros.core.classification.relative import LEAST_SURROUNDINGS, compare
 from fden_ros.core.estimation import Prior
 from fden_ros.core.law import LogStiffness
 from fden_ros.tissues.library import load_library
-
-# Which tissue it is, with probabilities that mean what they say
-
 
 LIBRARY = load_library()
 LIVER = LIBRARY.tissues[0]
@@ -42,15 +36,11 @@ PRIOR_COVARIANCE = np.diag(np.square([0.8, 0.5, 0.05]))
 
 
 def seen(mean, sd=(0.01, 0.01, 0.01)):
-    return likelihood_of(np.asarray(mean, dtype=float), np.diag(np.square(sd)), FLAT)
+    return likelihood_of(mean, np.diag(np.square(sd)), FLAT)
 
 
 def liver_moved(*by):
     return LIVER.mean + np.array(by)
-
-
-def probability(result, name):
-    return result.probabilities[result.names.index(name)]
 
 
 def random_covariance(rng, sd):
@@ -62,9 +52,9 @@ def random_covariance(rng, sd):
 def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     liver = classify(LIBRARY, seen(LIVER.mean))
     assert liver.label == "liver" and liver.p_value > 0.99
-    assert probability(liver, "liver") > 0.95
+    assert liver.probabilities[liver.names.index("liver")] > 0.95
     stiff = classify(LIBRARY, seen(liver_moved(math.log(10.0), 0.0, 0.0)))
-    assert stiff.label == UNKNOWN and probability(stiff, UNKNOWN) > 0.99
+    assert stiff.label == UNKNOWN and stiff.probabilities[stiff.names.index(UNKNOWN)] > 0.99
 
 
 def test_evidence_is_the_density_of_the_estimate_under_spread_and_error():
@@ -150,12 +140,6 @@ def said(*probabilities, p_value=1.0, observable=True):
     return ClassProbabilities(best, NAMES, probabilities, p_value, observable)
 
 
-def labels(*answers, config=None):
-    """The label after each answer, 50 ms apart."""
-    decider = Decider(config or DecisionConfig())
-    return [decider.update(50_000_000 * i, answer) for i, answer in enumerate(answers)]
-
-
 A, B = said(0.8, 0.2, 0.0), said(0.1, 0.9, 0.0)
 OUT, EDGE, IN = (said(0.9, 0.1, 0.0, p_value=t) for t in (0.03, 0.08, 0.14))
 #: Answers 50 ms apart, and the label after each; None: not looked at.
@@ -174,34 +158,27 @@ SEQUENCES = {
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_label_of_a_sequence_of_answers(name):
-    answers, expected = SEQUENCES[name]
-    for found, label in zip(labels(*answers), expected, strict=True):
+    decider = Decider(DecisionConfig())
+    for count, (answer, label) in enumerate(zip(*SEQUENCES[name], strict=True)):
+        found = decider.update(50_000_000 * count, answer)
         assert label is None or found == label
 
 
 # A place against its surroundings
 
 
-def place(value, sd=0.0):
-    return LogStiffness(np.array(value), np.array(sd**2))
-
-
-def around(values, sd=0.0):
+def stiffness(values, sd=0.0):
     values = np.asarray(values, dtype=float)
-    return LogStiffness(values, np.full(values.size, sd**2))
-
-
-def drawn(rng, *, natural=0.1, sd=0.05, count=30, ratio=1.0):
-    own = rng.normal(0.0, natural, count) + rng.normal(0.0, sd, count)
-    mine = math.log(ratio) + rng.normal(0.0, sd)
-    return place(mine, sd), around(own, sd)
+    return LogStiffness(values, np.full(values.shape, sd**2))
 
 
 def test_ratio_and_interval_hold_the_truth():
     rng = np.random.default_rng(1)
     inside, ratios = 0, []
     for _ in range(600):
-        compared = compare(*drawn(rng, ratio=2.0))
+        around = rng.normal(0.0, 0.1, 30) + rng.normal(0.0, 0.05, 30)
+        mine = math.log(2.0) + rng.normal(0.0, 0.05)
+        compared = compare(stiffness(mine, 0.05), stiffness(around, 0.05))
         low, high = compared.interval()
         inside += low <= 2.0 <= high
         ratios.append(compared.log_ratio)
@@ -212,15 +189,14 @@ def test_ratio_and_interval_hold_the_truth():
 
 def test_lesions_among_the_surroundings_do_not_hide_a_lesion():
     rng = np.random.default_rng(4)
-    healthy = rng.normal(0.0, 0.1, 24)
-    lesions = rng.normal(math.log(4.0), 0.1, 8)
-    compared = compare(place(math.log(4.0), 0.02), around([*healthy, *lesions], 0.02))
+    around = [*rng.normal(0.0, 0.1, 24), *rng.normal(math.log(4.0), 0.1, 8)]
+    compared = compare(stiffness(math.log(4.0), 0.02), stiffness(around, 0.02))
     assert compared.ratio == pytest.approx(4.0, rel=0.12)
     assert compared.degrees_of_freedom == pytest.approx(23.0, abs=4.0)
     assert compared.log_ratio > 6.0 * math.hypot(compared.log_ratio_sd, 0.1)
 
 
-def test_too_few_surroundings_make_no_comparison():
-    assert compare(place(0.0), around([0.0] * (LEAST_SURROUNDINGS - 1))) is None
-    assert compare(place(0.0), around([])) is None
-    assert compare(place(0.0, 0.1), around([0.0] * LEAST_SURROUNDINGS)) is not None
+@pytest.mark.parametrize("count", [0, LEAST_SURROUNDINGS - 1, LEAST_SURROUNDINGS])
+def test_too_few_surroundings_make_no_comparison(count):
+    compared = compare(stiffness(0.0, 0.1), stiffness([0.0] * count))
+    assert (compared is None) == (count < LEAST_SURROUNDINGS)

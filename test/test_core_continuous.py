@@ -9,7 +9,6 @@ surface, a force zero and a rig of its own; it shares nothing with the core.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -18,14 +17,7 @@ import pytest
 from pipeline_helpers import begun
 from property_helpers import counts, first
 
-from fden_ros.core import (
-    ContactSummary,
-    DynamicModulus,
-    Flag,
-    Pipeline,
-    Status,
-    TissueState,
-)
+from fden_ros.core import ContactSummary, DynamicModulus, Flag, Status, TissueState
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior
 from fden_ros.core.oscillation import Stiffness
 from fden_ros.core.oscillation.local_stiffness import LocalStiffness
@@ -33,13 +25,9 @@ from fden_ros.core.oscillation.palpation import palpated as told_by
 
 START_NS = 5_000_000_000
 TIME_SCALE = 0.1
-RIGID = {
-    "displacement.delay_sd": 0.0,
-    "displacement.compliance_sd": 0.0,
-    "displacement.backlash_sd": 0.0,
-    "force.friction_sd": 0.0,
-    "model_discrepancy.sd": 0.0,
-}
+SOURCES = ("delay", "compliance", "backlash")
+RIGID = {f"displacement.{name}_sd": 0.0 for name in SOURCES}
+RIGID |= {"force.friction_sd": 0.0, "model_discrepancy.sd": 0.0}
 
 
 @dataclass(frozen=True)
@@ -105,21 +93,17 @@ def palpated(
     return Palpated(t, displacement, force, 3e-3 * t, stiffness, order, omega)
 
 
-def identify(record: Palpated, *, located: bool = True, **values):
-    """Return the pipeline after the record, and its outputs."""
+def identify(*records: Palpated, **values):
+    """Return the pipeline after records that follow each other, and its outputs."""
     pipeline, outputs = begun({"contact.mode": "continuous"} | values)
-    feed(pipeline, record, located=located)
+    for record in records:
+        columns = (record.time, record.force, record.displacement, record.way)
+        for t, force, displacement, way in zip(*(c.tolist() for c in columns), strict=True):
+            stamp_ns = START_NS + round(1e9 * t)
+            pipeline.add_force(stamp_ns, force)
+            pipeline.add_displacement(stamp_ns, displacement, (way, 0.0, displacement))
     pipeline.finish()
     return pipeline, outputs
-
-
-def feed(pipeline: Pipeline, record: Palpated, *, located: bool = True, shift: float = 0.0):
-    columns = (record.time + shift, record.force, record.displacement, record.way)
-    for t, force, displacement, way in zip(*(c.tolist() for c in columns), strict=True):
-        stamp_ns = START_NS + round(1e9 * t)
-        pipeline.add_force(stamp_ns, force)
-        place = (way, 0.0, displacement) if located else None
-        pipeline.add_displacement(stamp_ns, displacement, place)
 
 
 def of(kind, outputs):
@@ -130,23 +114,12 @@ def known_places(outputs):
     return [one for one in of(ContactSummary, outputs) if one.is_of_path]
 
 
-@functools.cache
-def errors(profile: str, is_rigid: bool, seeds: int) -> np.ndarray:
-    """Errors of dF/dd and alpha over their deviations, shape (places, 2)."""
-    found = []
-    for seed in range(seeds):
-        record = palpated(seed, profile, is_rigid=is_rigid)
-        _, outputs = identify(record, **(RIGID if is_rigid else {}))
-        for place in known_places(outputs):
-            stiffness, estimate = place.apparent_stiffness, place.estimate
-            truth = record.apparent(place.position[0])
-            found.append(
-                (
-                    math.log(stiffness.value / truth) * stiffness.value / stiffness.sd,
-                    (estimate.fractional_order - record.order) / estimate.fractional_order_sd,
-                )
-            )
-    return np.array(found)
+def errors(record: Palpated, place: ContactSummary) -> tuple[float, float]:
+    """Errors of dF/dd and alpha over their deviations."""
+    stiffness, estimate = place.apparent_stiffness, place.estimate
+    off = math.log(stiffness.value / record.apparent(place.position[0]))
+    alpha = estimate.fractional_order - record.order
+    return off * stiffness.value / stiffness.sd, alpha / estimate.fractional_order_sd
 
 
 CONDITIONS = first(
@@ -157,9 +130,14 @@ CONDITIONS = first(
 @pytest.mark.parametrize("seeds", counts(3, 12))
 @pytest.mark.parametrize("condition", CONDITIONS, ids=str)
 def test_deviations_hold_along_the_path(condition, seeds):
-    found = errors(*condition, seeds)
+    profile, is_rigid = condition
+    found = []
+    for seed in range(seeds):
+        record = palpated(seed, profile, is_rigid=is_rigid)
+        outputs = identify(record, **(RIGID if is_rigid else {}))[1]
+        found += [errors(record, place) for place in known_places(outputs)]
     assert len(found) > 15 * seeds
-    rms = np.sqrt(np.mean(found**2, axis=0))
+    rms = np.sqrt(np.mean(np.square(found), axis=0))
     # The places of one record have errors in common.
     low, high = (0.6, 1.4) if seeds == 12 else (0.3, 2.0)
     assert np.all(rms > low) and np.all(rms < high), rms
@@ -220,15 +198,13 @@ def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay
 
 def test_a_long_gap_ends_the_place_and_forgets_it():
     record = palpated(8, duration=20.0)
-    pipeline, outputs = begun({"contact.mode": "continuous"})
-    feed(pipeline, record)
-    count = len(of(ContactSummary, outputs))
-    feed(pipeline, record, shift=25.0)
-    pipeline.finish()
-    after = of(ContactSummary, outputs)[count:]
-    assert not after[0].complete and after[1].site_id == after[0].site_id + 1
+    pipeline, outputs = identify(record, replace(record, time=record.time + 25.0))
+    places, again_ns = of(ContactSummary, outputs), START_NS + 25_000_000_000
+    count = sum(one.end_ns < again_ns for one in places)
+    last, *after = places[count - 1 :]
+    assert not last.complete and after[0].site_id == last.site_id + 1
     assert pipeline.site_count == after[-1].site_id
-    since = [one for one in of(TissueState, outputs) if one.stamp_ns > START_NS + 25_000_000_000]
+    since = [one for one in of(TissueState, outputs) if one.stamp_ns > again_ns]
     assert since[0].apparent_stiffness is None and since[-1].apparent_stiffness is not None
 
 
@@ -258,13 +234,9 @@ def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed)
     noise = np.random.default_rng(seed).normal(size=depth.size)
     force = 400.0 * np.maximum(depth, 0.0) + 0.005 * noise
     pressed = slice(int(np.argmax(depth > 1e-3)), None)
-    tapping = replace(
-        record,
-        time=record.time[pressed],
-        force=force[pressed],
-        displacement=record.displacement[pressed],
-        way=record.way[pressed],
-    )
+    own = {"time": record.time, "displacement": record.displacement, "way": record.way}
+    own = {name: column[pressed] for name, column in own.items()}
+    tapping = replace(record, force=force[pressed], **own)
     geometry = {"geometry.kind": "sphere", "geometry.radius": 0.003}
     _, outputs = identify(tapping, **{"contact.mode": "touch", **geometry})
     contacts = of(ContactSummary, outputs)

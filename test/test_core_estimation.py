@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from core_helpers import off
+from property_helpers import counts, first
 from scipy.integrate import quad
 
 from fden_ros.core.arrays import Array
@@ -48,7 +50,7 @@ class Samples(NamedTuple):
     times: Array
     indentations: Array
     stresses: Array
-    truth: Array  #: ln G, ln Gn, alpha
+    tissue: tuple[float, float, float]  #: (G, Gn, alpha)
     clean: Array  #: stress without noise
 
 
@@ -56,37 +58,31 @@ class Samples(NamedTuple):
 def pressed(seed: int, hold: float = 1.0) -> Samples:
     """Simulate a press."""
     generator = np.random.default_rng(seed)
-    truth = np.array([generator.uniform(6.0, 8.5), math.log(generator.uniform(5.0, 11.0)), 0.0])
-    truth[2] = generator.uniform(0.1, 0.4)
+    tissue = math.exp(generator.uniform(6.0, 8.5)), generator.uniform(5.0, 11.0)
+    tissue = *tissue, generator.uniform(0.1, 0.4)
     speed, depth = generator.uniform(0.2, 0.4), generator.uniform(0.2, 0.3)
     times = np.arange(0.0, 0.3 + depth / speed + hold, 1.0 / RATE_HZ)
     strains = np.minimum((times - 0.3) * speed, depth) + generator.uniform(-1.0, 1.0) * 1e-4
     knots = np.sort(np.append(times, np.interp(0.0, strains, times)))
     path = np.maximum(np.interp(knots, times, strains), 0.0)
-    model = FdenModel(*np.exp(truth[:2]), float(truth[2]))
-    clean = stress_of_piecewise_linear_strain(knots, path, times, model)
+    clean = stress_of_piecewise_linear_strain(knots, path, times, FdenModel(*tissue))
     stresses = clean + generator.normal(0.0, NOISE, times.size)
     first = int(np.searchsorted(times, 0.29))
     begin = times[first]
-    return Samples(times[first:] - begin, strains[first:], stresses[first:], truth, clean[first:])
+    return Samples(times[first:] - begin, strains[first:], stresses[first:], tissue, clean[first:])
 
 
-def estimator(uncertainty: Uncertainty = EXACT) -> GridEstimator:
-    """Return an estimator that waits for its first touch."""
+def released(
+    samples: Samples, uncertainty: Uncertainty = EXACT, size: int = 5
+) -> tuple[GridEstimator, Estimate]:
+    """Return an estimator that took a press in parts, and its last estimate."""
     config = EstimatorConfig(uncertainty=uncertainty)
-    return GridEstimator(Setting(config, GEOMETRY, NOISE, CONTACT_POINT_SD))
-
-
-def take(of: GridEstimator, samples: Samples, size: int = 5, stop: int | None = None) -> Estimate:
-    """Let an estimator take a press in parts; return its last estimate."""
-    of.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
-    found = of.estimate()
-    for k in range(0, len(samples.times[:stop]), size):
-        at = slice(k, k + size)
-        columns = (samples.times, samples.indentations, samples.stresses)
-        parts = [column[:stop][at].tolist() for column in columns]
-        found = of.add(*parts, [True] * len(parts[0]))
-    return found
+    estimator = GridEstimator(Setting(config, GEOMETRY, NOISE, CONTACT_POINT_SD))
+    estimator.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
+    for k in range(0, len(samples.times), size):
+        parts = [column[k : k + size].tolist() for column in samples[:3]]
+        estimator.add(*parts, [True] * len(parts[0]))
+    return estimator, estimator.release()
 
 
 def blocks_of(samples: Samples) -> list[Block]:
@@ -156,15 +152,11 @@ def test_nodes_at_all_scales_are_weighed_as_by_the_whole_covariance() -> None:
         a, b = np.einsum("im,ij,jm->m", r, inverse, r), np.einsum("im,ij,jm->m", y, inverse, r)
         rest = 0.5 * np.einsum("im,ij,jm->m", y, inverse, y)
         rest += 0.5 * np.linalg.slogdet(covariance)[1]
-        own = of_stiffness(a, b, *_prior_of_log_g(grid.law))
+        prior = grid.law.config.prior
+        own = of_stiffness(a, b, float(prior.mean[0]), prior.linear_stiffness_log_sd)
         np.testing.assert_allclose(
             found.log[k], own.log - rest + place.log_prior, rtol=1e-6, atol=1e-4
         )
-
-
-def _prior_of_log_g(law: Law) -> tuple[float, float]:
-    prior = law.config.prior
-    return float(prior.mean[0]), prior.linear_stiffness_log_sd
 
 
 def test_sources_add_up_to_the_covariance() -> None:
@@ -174,17 +166,21 @@ def test_sources_add_up_to_the_covariance() -> None:
     np.testing.assert_allclose(whole, grid.covariance.at(scales), rtol=1e-6, atol=1e-6)
 
 
+def nowhere(law: Law, node: Array, log_g: float) -> Expansion:
+    """Return an expansion about no errors of law or rig."""
+    n, size = law.place.presses[0].times.size, law.size
+    return Expansion(node, log_g, np.zeros(size), np.zeros((size, 3)), np.zeros(n))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_response_is_that_of_the_closed_form(seed: int) -> None:
     """Cells of two points have the mean stress of their samples to 5e-4 of the peak."""
     samples = pressed(seed)
     blocks = blocks_of(samples._replace(stresses=samples.clean))
     law = law_of(gathered(blocks, 0.0, 60), NOTHING_UNKNOWN)
-    node = np.array([[samples.truth[2], samples.truth[1], 0.0]])
-    n = law.place.presses[0].times.size
-    zero = np.zeros((law.size, 3))
-    about = Expansion(node[0], samples.truth[0], zero[:, 0], zero, np.zeros(n))
-    found = math.exp(samples.truth[0]) * law.responses(node, about)[0][:, 0]
+    g, gn, order = samples.tissue
+    node = np.array([[order, math.log(gn), 0.0]])
+    found = g * law.responses(node, nowhere(law, node[0], math.log(g)))[0][:, 0]
     off = found - law.place.presses[0].stresses
     assert np.max(np.abs(off)) < 1e-3 * samples.clean.max()
 
@@ -240,13 +236,7 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
     turned = samples._replace(indentations=np.append(back[:-1:2], back[::-2])[: back.size])
     press = gathered(blocks_of(turned), 0.0, 40)
     law = law_of(press, replace(NOTHING_UNKNOWN, backlash_sd=5e-4))
-    about = Expansion(
-        law.coordinates[0],
-        0.0,
-        np.zeros(law.size),
-        np.zeros((law.size, 3)),
-        np.zeros(press.times.size),
-    )
+    about = nowhere(law, law.coordinates[0], 0.0)
     whole = law.moves(press, about.stresses, about)[:, 0]
     # It turns twice: the tip is behind by the whole play, and where the drive is again.
     ends = [whole[0], whole.max(), whole[-1]]
@@ -260,67 +250,38 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
 
 
 def test_same_samples_in_other_parts_give_the_same_bits() -> None:
-    samples = pressed(3)
-    found = []
-    for size in (1, 5, 37):
-        of = estimator(Uncertainty())
-        take(of, samples, size)
-        found.append(of.release())
-    for other in found[1:]:
-        assert other.mean.tobytes() == found[0].mean.tobytes()
-        assert other.covariance.tobytes() == found[0].covariance.tobytes()
+    found = [released(pressed(3), Uncertainty(), size)[1] for size in (1, 5, 37)]
+    assert len({(one.mean.tobytes(), one.covariance.tobytes()) for one in found}) == 1
 
 
-def test_another_laying_changes_little() -> None:
+@pytest.mark.parametrize("seed", first(0, 1, 2))
+def test_shares_add_up_to_the_variance_and_another_laying_changes_little(seed: int) -> None:
     """A settled grid is laid anew: by less than .05 of a deviation in the mean."""
-    for seed in range(3):
-        of = estimator(Uncertainty())
-        take(of, pressed(seed))
-        before = of.release()
-        of.best.lay_again()
-        after = of.estimate()
-        moved = np.abs(after.mean - before.mean) / before.deviations
-        assert moved.max() < 0.05
+    estimator, before = released(pressed(seed), Uncertainty())
+    parts = np.array(list(estimator.best.posterior().shares().values()))
+    np.testing.assert_allclose(parts.sum(axis=0), np.diag(before.covariance)[:2], rtol=1e-6)
+    assert np.all(parts >= 0.0)
+    estimator.best.lay_again()
+    moved = np.abs(estimator.estimate().mean - before.mean) / before.deviations
+    assert moved.max() < 0.05
 
 
-def test_components_reproduce_mean_and_covariance() -> None:
-    of = estimator()
-    take(of, pressed(4))
-    found = of.release()
+def test_components_reproduce_mean_and_covariance_and_what_is_not_settled_is_not_claimed() -> None:
+    estimator, found = released(pressed(4))
     assert 1 < len(found.components) <= 8
     mean, covariance = moments(found.components)
     np.testing.assert_allclose(mean, found.mean, atol=1e-9)
     np.testing.assert_allclose(covariance, found.covariance, atol=1e-9)
+    assert found.known == ParameterSet.ALL
+    estimator.best.filter.grid.is_settled = False
+    assert estimator.estimate().known == ParameterSet.NONE
 
 
-def test_what_is_not_settled_is_not_claimed() -> None:
-    of = estimator()
-    take(of, pressed(4))
-    assert of.release().known == ParameterSet.ALL
-    assert of.best.filter is not None
-    of.best.filter.grid.is_settled = False
-    assert of.estimate().known == ParameterSet.NONE
-
-
-def test_errors_are_as_large_as_their_deviations() -> None:
-    """Of 6 presses of the exact law: rms of error over deviation .3 to 1.6, none beyond 3.5."""
-    off = []
-    for seed in range(6):
-        of = estimator()
-        take(of, pressed(seed, hold=0.5))
-        found = of.release()
-        off.append((found.mean - pressed(seed, hold=0.5).truth) / found.deviations)
-    rms = np.sqrt(np.mean(np.square(off), axis=0))
+@pytest.mark.parametrize("count", counts(3, 12))
+def test_errors_are_as_large_as_their_deviations(count: int) -> None:
+    """Of presses of the exact law: rms of error over deviation .3 to 1.6, none beyond 3.5."""
+    presses = [pressed(seed, hold=0.5) for seed in range(count)]
+    errors = np.array([off(released(press)[1], press.tissue) for press in presses])
+    rms = np.sqrt(np.mean(errors**2, axis=0))
     assert np.all((rms > 0.3) & (rms < 1.6)), rms
-    assert np.max(np.abs(off)) < 3.5
-
-
-def test_shares_add_up_to_the_variance() -> None:
-    of = estimator(Uncertainty())
-    take(of, pressed(5))
-    found = of.release()
-    posterior = of.best.posterior()
-    assert posterior is not None
-    parts = np.array(list(posterior.shares().values()))
-    np.testing.assert_allclose(parts.sum(axis=0), np.diag(found.covariance)[:2], rtol=1e-6)
-    assert np.all(parts >= 0.0)
+    assert np.max(np.abs(errors)) < 3.5

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from pipeline_helpers import begun, of_columns, summaries_of
+from core_helpers import states_of, stress_over_g
+from pipeline_helpers import of_columns, summaries_of
 from property_helpers import counts
 
-from fden_ros.core import ContactSummary, Pipeline, Status, TissueState
+from fden_ros.core import Status
 from fden_ros.core.outputs import Flag, Output
 from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
 from fden_ros.core.streams import NANOSECONDS, Pair
@@ -26,56 +28,39 @@ from fden_ros.parameters import check, pipeline_config
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 
 START_NS = 1_000_000_000
-RATE, SPEED, SPRING = 500.0, 0.004, 300.0
+RATE, SPRING = 500.0, 300.0
 CONTINUOUS = {"contact.mode": "continuous"}
 
 
-def way(*legs: tuple[float, float], rate: float = RATE) -> np.ndarray:
+def way(*legs: tuple[float, float]) -> np.ndarray:
     """Return the displacement [m] along legs, each to a place [m] in a time [s]."""
     places, at = [], 0.0
     for to, duration in legs:
-        places.append(np.linspace(at, to, max(round(duration * rate), 1), endpoint=False))
+        places.append(np.linspace(at, to, max(round(duration * RATE), 1), endpoint=False))
         at = to
     return np.concatenate(places)
 
 
-def press(depth: float = 0.005, speed: float = SPEED) -> np.ndarray:
-    """Return a press and its end [m]."""
-    return way((depth, depth / speed), (0.0, depth / speed))
+#: A press at 4 mm/s, and its end [m].
+PRESS = way((0.005, 1.25), (0.0, 1.25))
 
 
-def slopes(
-    places: np.ndarray,
-    forces: np.ndarray,
-    *,
-    rate: float = RATE,
-    surface: float = 0.0,
-    **own: float,
-) -> Iterator[Slopes]:
-    """Give what is measured after each sample of one contact."""
-    bias = own.pop("bias", 0.0)
+def seconds(count: int) -> np.ndarray:
+    return np.arange(count) / RATE
+
+
+def after(times: np.ndarray, forces: np.ndarray, places: np.ndarray, **own: Any) -> MeasuredSlopes:
+    """Return what has been measured after the samples of one contact."""
+    known = {"surface": own.pop("surface", 0.0), "bias": own.pop("bias", 0.0)}
     measured = MeasuredSlopes(pipeline_config(check({k.replace("__", "."): own[k] for k in own})))
-    for count, (place, force) in enumerate(zip(places.tolist(), forces.tolist(), strict=True)):
-        stamp_ns = START_NS + round(count / rate * NANOSECONDS)
-        measured.add(Pair(0, stamp_ns, force, place, None))
-        measured.assign(1, in_contact=True, surface=surface, bias=bias)
-        yield measured.newest
+    for time, force, place in zip(*(c.tolist() for c in (times, forces, places)), strict=True):
+        measured.add(Pair(0, START_NS + round(time * NANOSECONDS), force, place, None))
+        measured.assign(1, in_contact=True, **known)
+    return measured
 
 
 def last(places: np.ndarray, forces: np.ndarray, **options: float) -> Slopes:
-    *_, found = slopes(places, forces, **options)
-    return found
-
-
-def outputs_of(
-    places: np.ndarray, forces: np.ndarray, **own: object
-) -> tuple[Pipeline, list[Output]]:
-    """Return what the pipeline puts out of samples on one clock."""
-    return of_columns(own, np.arange(len(places)) / RATE, forces, places)
-
-
-def states_of(outputs: list[Output]) -> list[TissueState]:
-    return [output for output in outputs if isinstance(output, TissueState)]
+    return after(seconds(places.size), forces, places, **options).newest
 
 
 CURVES: dict[str, tuple[Callable, Callable]] = {
@@ -88,8 +73,7 @@ CURVES: dict[str, tuple[Callable, Callable]] = {
 @pytest.mark.parametrize("name", CURVES)
 def test_slope_is_that_of_the_curve_at_the_deepest_point(name):
     curve, derivative = CURVES[name]
-    places = press()
-    found = last(0.1 + places, curve(places) + 30.0, surface=0.1)
+    found = last(0.1 + PRESS, curve(PRESS) + 30.0, surface=0.1)
     for one in found:
         assert one.value == pytest.approx(derivative(one.depth), rel=5e-3)
         assert one.depth == pytest.approx(0.005, abs=4e-5)
@@ -98,9 +82,8 @@ def test_slope_is_that_of_the_curve_at_the_deepest_point(name):
 
 def test_compliance_acts_on_the_force_above_its_bias():
     """A tool of 1 mm/N before a sensor that reads -50 N in the air."""
-    places = press()
-    force = SPRING * places
-    found = last(places + 1e-3 * force, force - 50.0, bias=-50.0, displacement__compliance=1e-3)
+    force = SPRING * PRESS
+    found = last(PRESS + 1e-3 * force, force - 50.0, bias=-50.0, displacement__compliance=1e-3)
     assert found.loading.value == pytest.approx(SPRING, rel=1e-6)
     assert found.loading.depth == pytest.approx(0.005, abs=4e-5)
 
@@ -108,7 +91,7 @@ def test_compliance_acts_on_the_force_above_its_bias():
 def noisy(seed: int, name: str) -> tuple[float, float, float]:
     """Return slope, deviation and slope of the curve there, of a noisy press."""
     draw, (curve, derivative) = np.random.default_rng(seed), CURVES[name]
-    places = press()[: round(0.005 / SPEED * RATE)]
+    places = way((0.005, 1.25))
     read = places + 5e-6 * draw.standard_normal(places.size)
     found = last(read, curve(places) + 0.01 * draw.standard_normal(places.size)).loading
     return found.value, found.sd, derivative(found.depth)
@@ -124,9 +107,8 @@ def test_interval_holds_the_true_slope(name, count):
 
 
 def test_unloading_is_apart_from_loading():
-    places = press()
-    is_before = np.arange(places.size) <= int(np.argmax(places))
-    found = last(places, np.where(is_before, SPRING * places, 1.5 + 450.0 * (places - 0.005)))
+    is_before = np.arange(PRESS.size) <= int(np.argmax(PRESS))
+    found = last(PRESS, np.where(is_before, SPRING * PRESS, 1.5 + 450.0 * (PRESS - 0.005)))
     assert found.loading.value == pytest.approx(SPRING, rel=1e-3)
     assert found.unloading.value == pytest.approx(450.0, rel=1e-3)
 
@@ -135,7 +117,7 @@ def test_unloading_is_apart_from_loading():
 HOLD = way((0.005, 1.25), (0.005, 5.0))
 STEPS = way((0.003, 0.75), (0.003, 1.0), (0.005, 0.5))
 CREEP = way((0.0048, 1.2), (0.00495, 3.0))
-SECONDS = np.arange(0.0, 4.0, 1.0 / RATE)
+SECONDS = seconds(2000)
 STROKES = np.r_[way((0.005, 1.25), (0.005, 1.0)), 0.005 + 2e-4 * np.sin(2.0 * np.pi * SECONDS)]
 AT_FORCE = np.r_[way((0.005, 1.25)), 0.005 + 1e-3 * np.log1p(SECONDS) / np.log(5.0)]
 
@@ -165,9 +147,9 @@ def test_loading_ends_where_the_force_no_longer_rises(places, forces, slope, dep
     [
         (way((0.0, 4.0)), SPRING),  # at rest
         (way((2e-5, 4.0)), SPRING),  # 20 um against 10 mN
-        (press(), 1.0),  # 5 mN against 10 mN
-        (press(), -SPRING),  # the sign is wrong
-        (press(), 0.0),  # in the air
+        (PRESS, 1.0),  # 5 mN against 10 mN
+        (PRESS, -SPRING),  # the sign is wrong
+        (PRESS, 0.0),  # in the air
     ],
 )
 def test_motion_that_tells_nothing_is_not_measured(places, per_metre):
@@ -183,16 +165,12 @@ def pressed() -> list[Output]:
     places, draw = np.concatenate([places, np.full(500, -0.002)]), np.random.default_rng(2)
     read = places + 1e-3 + 1e-6 * draw.standard_normal(places.size)
     forces = SPRING * np.maximum(places, 0.0) + 1e-3 * draw.standard_normal(places.size)
-    return outputs_of(read, forces)[1]
-
-
-def summary() -> ContactSummary:
-    (found,) = (output for output in pressed() if isinstance(output, ContactSummary))
-    return found
+    return of_columns({}, seconds(read.size), forces, read)[1]
 
 
 def test_contact_has_the_slopes_where_it_was_deepest():
-    for found in summary().measured:
+    (summary,) = summaries_of(pressed())
+    for found in summary.measured:
         assert abs(found.value - SPRING) < 4.0 * found.sd < 0.3 * SPRING
         assert found.depth == pytest.approx(0.005, abs=1.5e-4)
     states = states_of(pressed())
@@ -204,16 +182,16 @@ def test_contact_has_the_slopes_where_it_was_deepest():
 def test_recording_that_begins_in_contact_is_measured():
     places = 0.002 + way((0.0, 0.5), (0.003, 0.75), (0.0, 0.5))
     forces = SPRING * places + 1e-3 * np.random.default_rng(2).standard_normal(places.size)
-    pipeline, _ = outputs_of(places, forces)
+    pipeline, _ = of_columns({}, seconds(places.size), forces, places)
     found = pipeline.measured_unseen.loading
     assert abs(found.value - SPRING) < 4.0 * found.sd < 0.1 * SPRING
 
 
 def test_continuous_contact_is_measured():
-    seconds = np.arange(0.0, 12.0, 1.0 / RATE)
-    places = 0.004 + 5e-4 * np.sin(2.0 * np.pi * 1.5 * seconds)
+    times = seconds(6000)
+    places = 0.004 + 5e-4 * np.sin(2.0 * np.pi * 1.5 * times)
     forces = SPRING * places - 7.0 + 1e-3 * np.random.default_rng(4).standard_normal(places.size)
-    _, outputs = outputs_of(places, forces, **CONTINUOUS)
+    _, outputs = of_columns(CONTINUOUS, times, forces, places)
     states = [state.measured for state in states_of(outputs)[200:]]
     found = [one for both in states for one in both]
     assert all(one and abs(one.value - SPRING) < 5.0 * one.sd for one in found)
@@ -223,13 +201,9 @@ def test_continuous_contact_is_measured():
 
 def test_missing_samples_are_not_bridged():
     """The force's zero is another after a gap, as if a sensor had been switched off and on."""
-    pipeline, outputs = begun(CONTINUOUS)
-    for count, place in enumerate(way((0.005, 1.25)).tolist()):
-        if 300 <= count < 360:
-            continue
-        stamp_ns = START_NS + round(count / RATE * NANOSECONDS)
-        pipeline.add_displacement(stamp_ns, place)
-        pipeline.add_force(stamp_ns, SPRING * place + (1.0 if count >= 360 else 0.0))
+    places, kept = way((0.005, 1.25)), np.r_[:300, 360:625]
+    forces = SPRING * places + np.where(np.arange(625) < 360, 0.0, 1.0)
+    _, outputs = of_columns(CONTINUOUS, seconds(625)[kept], forces[kept], places[kept])
     values = [s.measured.loading.value for s in states_of(outputs) if s.measured.loading]
     assert len(values) > 10 and values == pytest.approx([SPRING] * len(values), rel=1e-6)
 
@@ -240,7 +214,8 @@ def test_messages_hold_what_is_measured():
     for both in (Slopes(*slopes_known), Slopes(slopes_known[0]), Slopes(None, slopes_known[1])):
         again = state_of(estimate_message(replace(state, measured=both), "tool"))
         assert again.measured == both
-    assert summary_of(summary_message(summary(), "tool")).measured == summary().measured
+    (summary,) = summaries_of(pressed())
+    assert summary_of(summary_message(summary, "tool")).measured == summary.measured
 
 
 def clipped(seed: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -253,20 +228,14 @@ def clipped(seed: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     alpha, gn, travel = draw.uniform(0.05, 0.3), draw.uniform(5.0, 11.0), 0.008
     corners = np.cumsum([2.0, travel / speed, draw.uniform(0.2, 2.0), travel / speed])
     places = np.interp(time, corners, [-0.003, 0.005, 0.005, -0.003])
-    strain = np.maximum(places, 0.0) / 0.02
-    phi = np.where(strain < 1 / gn, strain, np.exp(gn * strain - 1.0) / gn)
-    lags = np.diff(np.arange(time.size + 1) ** (1 - alpha)) * rate**alpha / math.gamma(2 - alpha)
-    force = np.maximum(np.convolve(np.diff(phi, prepend=0.0), lags)[: time.size], 0.0)
+    force = stress_over_g(np.maximum(places, 0.0) / 0.02, 1.0 / rate, gn, alpha)
     force *= 0.2 / force.max()
     read = np.minimum(force, part * force.max()) + 8e-4 * draw.standard_normal(time.size)
     return time, read, places + 1e-6 * draw.standard_normal(time.size)
 
 
 def is_cut_off(seed: int, part: float) -> bool:
-    measured = MeasuredSlopes(pipeline_config(check({})))
-    for time, force, place in zip(*(c.tolist() for c in clipped(seed, part)), strict=True):
-        measured.add(Pair(0, START_NS + round(time * NANOSECONDS), force, place, None))
-        measured.assign(1, in_contact=True, surface=0.0, bias=0.0)
+    measured = after(*clipped(seed, part))
     if measured.is_saturated:
         assert measured.of(1) == NOT_MEASURED
     return measured.is_saturated

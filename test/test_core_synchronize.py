@@ -16,90 +16,65 @@ from property_helpers import examples
 
 from fden_ros.core.streams import SynchronizeConfig, Synchronizer, gap_before
 
-#: No test depends on the time it takes, nor on chance.
-steady = examples(100)
-
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
 FORCE, DISPLACEMENT = "force", "displacement"
 
 
 class Run:
-    """A synchronizer with what it gave, and what it knew of the noise at every tenth pair."""
+    """A synchronizer with what it gave."""
 
     def __init__(self, **config):
-        self.pairs, self.noise = [], []
-        self.rejected = Counter()
-        self.synchronizer = Synchronizer(SynchronizeConfig(**config), self._keep, self.rejected)
-
-    def _keep(self, pair):
-        self.pairs.append(pair)
-        if len(self.pairs) % 10 == 0:
-            self.noise.append(self.synchronizer.path_noise())
+        self.pairs, self.rejected = [], Counter()
+        self.synchronizer = Synchronizer(
+            SynchronizeConfig(**config), self.pairs.append, self.rejected
+        )
 
     def add(self, stream, stamp_ns, value=0.0, *position):
         getattr(self.synchronizer, f"add_{stream}")(stamp_ns, value, *position)
         return self
 
-    def both(self, stamp_ns, force=0.0, displacement=0.0):
-        return self.add(DISPLACEMENT, stamp_ns, displacement).add(FORCE, stamp_ns, force)
+    def both(self, stamp_ns, force=0.0):
+        return self.add(DISPLACEMENT, stamp_ns).add(FORCE, stamp_ns, force)
 
     @property
     def stamps(self):
         return [(pair.stamp_ns - START) / MS for pair in self.pairs]
 
 
-def steps():
-    """Steps between stamps [ns]: mostly sound ones, and everything that goes wrong."""
-    return st.one_of(
-        st.integers(MS // 10, 20 * MS),
-        st.integers(MS // 10, 20 * MS),
-        st.sampled_from([0, 1000, -1000, 9_999, 10_000]),
-        st.integers(-400 * MS, -MS),
-        st.integers(-3000 * MS, -600 * MS),
-        st.integers(300 * MS, 3000 * MS),
-    )
-
-
-def stream(name):
-    return st.lists(
-        st.tuples(steps(), st.one_of(st.floats(-5.0, 5.0), st.sampled_from([np.nan, 1e9]))),
-        max_size=60,
-    ).map(lambda rows: samples(name, rows))
+#: Steps between stamps [ns]: mostly sound ones, and everything that goes wrong.
+steps = st.one_of(
+    st.integers(MS // 10, 20 * MS),
+    st.integers(MS // 10, 20 * MS),
+    st.sampled_from([0, 1000, -1000, 9_999, 10_000]),
+    st.integers(-400 * MS, -MS),
+    st.integers(-3000 * MS, -600 * MS),
+    st.integers(300 * MS, 3000 * MS),
+)
+values = st.one_of(st.floats(-5.0, 5.0), st.sampled_from([np.nan, 1e9]))
+rows = st.lists(st.tuples(steps, values), max_size=60)
 
 
 def samples(name, rows):
-    stamp, result = START, []
-    for step, value in rows:
-        stamp += step
-        result.append((name, stamp, value))
-    return result
+    stamps = itertools.accumulate(step for step, _ in rows)
+    return [(name, START + s, value) for s, (_, value) in zip(stamps, rows, strict=True)]
 
 
-def merged(a, b, choices):
-    """Interleave two lists, each in its own order."""
-    a, b, result = list(a), list(b), []
-    while a or b:
-        first = bool(a) and (not b or choices.random() < 0.5)
-        result.append((a if first else b).pop(0))
-    return result
-
-
-@steady
-@given(forces=stream(FORCE), displacements=stream(DISPLACEMENT), choices=st.randoms())
+@examples(100)
+@given(forces=rows, displacements=rows, choices=st.randoms())
 def test_pairs_do_not_depend_on_how_the_streams_are_interleaved(forces, displacements, choices):
     # A window that holds everything: what waits too long is another test's matter.
-    orders = [
-        forces + displacements,
-        displacements + forces,
-        merged(forces, displacements, choices),
-    ]
-    runs = [Run(max_wait=1e6) for _ in orders]
-    for run, order in zip(runs, orders, strict=True):
+    a, b = samples(FORCE, forces), samples(DISPLACEMENT, displacements)
+    later = iter(a), iter(b)
+    turns = [*([0] * len(a)), *([1] * len(b))]
+    choices.shuffle(turns)
+    results = []
+    for order in (a + b, b + a, [next(later[turn]) for turn in turns]):
+        run = Run(max_wait=1e6)
         for sample in order:
             run.add(*sample)
-    assert runs[0].pairs == runs[1].pairs == runs[2].pairs
-    assert runs[0].rejected == runs[1].rejected == runs[2].rejected
+        results.append((run.pairs, run.rejected))
+    assert results[0] == results[1] == results[2]
 
 
 @examples(40)
@@ -109,25 +84,25 @@ def test_pairs_do_not_depend_on_how_the_streams_are_interleaved(forces, displace
 )
 def test_arrival_within_the_window_does_not_matter_either_when_the_clock_jumps(jumps, seed):
     rng = np.random.default_rng(seed)
-    true_ns, offsets = 20_000 * MS, np.cumsum([0, *jumps])
-    rows = []
-    for name, period in ((FORCE, 20), (DISPLACEMENT, 50)):
-        for part, offset in enumerate(offsets):
-            for n in range(3000 // period):
-                instant = (3000 * part + n * period) * MS
-                rows.append((instant, name, START + true_ns + instant + int(offset), 1e-3 * n))
+    offsets = np.cumsum([20_000 * MS, *jumps]).tolist()
+    rows = [
+        ((3000 * part + ms) * MS, name, START + (3000 * part + ms) * MS + offset, 1e-3 * ms)
+        for part, offset in enumerate(offsets)
+        for name, period in ((FORCE, 20), (DISPLACEMENT, 50))
+        for ms in range(0, 3000, period)
+    ]
     results = []
     for _ in range(3):
         lag = {FORCE: rng.uniform(0, 1000), DISPLACEMENT: rng.uniform(0, 1000)}
         run = Run()
-        for _, name, stamp, value in sorted(rows, key=lambda r: r[0] + lag[r[1]] * MS):
-            run.add(name, stamp, value)
+        for _, *sample in sorted(rows, key=lambda r: r[0] + lag[r[1]] * MS):
+            run.add(*sample)
         results.append((run.pairs, run.rejected))
     assert results[0] == results[1] == results[2]
     assert {pair.epoch for pair in results[0][0]} == set(range(len(offsets)))
 
 
-@steady
+@examples(100)
 @given(
     start=st.floats(-1.0, 1.0),
     speed=st.floats(-1.0, 1.0),
@@ -163,29 +138,18 @@ def test_no_interpolation_over_a_gap_longer_than_allowed():
 def test_run_of_late_stamps_is_a_jump_of_the_clock_too():
     # A bag that loops after 0.4 s: each stamp is late by less than a jump.
     run = Run()
-    for ms in range(0, 400, 4):
-        run.both(START + ms * MS)
-    for ms in range(0, 400, 4):
+    for ms in 2 * [*range(0, 400, 4)]:
         run.both(START + ms * MS)
     # The first 19 of a run of 20 are taken for late ones.
     assert run.rejected == {"force.late_stamp": 19, "displacement.late_stamp": 19}
     assert [pair.epoch for pair in run.pairs] == [0] * 100 + [1] * 81
 
 
-def log_spaced(first_ms, last_ms, per_decade):
-    count = round(per_decade * np.log10(last_ms / first_ms)) + 1
-    return np.geomspace(first_ms, last_ms, count)
-
-
+JITTER = np.random.default_rng(0).uniform(-1e3, 1e3, 120)
 SLOW = {
-    "every 5 s": np.arange(0.0, 600e3, 5e3),
-    "every 5 s, with jitter": np.arange(0.0, 600e3, 5e3)
-    + np.random.default_rng(0).uniform(-1e3, 1e3, 120),
-    "log-spaced, 20 a decade": log_spaced(10.0, 1e6, 20),
-    "log-spaced, 5 a decade": log_spaced(10.0, 1e6, 5),
-    "100 Hz, then log-spaced": np.concatenate(
-        [np.arange(0.0, 5e3, 10.0), 5e3 + log_spaced(10.0, 1e6, 10)]
-    ),
+    "every 5 s, with jitter": np.arange(0.0, 600e3, 5e3) + JITTER,
+    "log-spaced, 5 a decade": np.geomspace(10.0, 1e6, 26),
+    "100 Hz, then log-spaced": np.r_[0.0:5e3:10.0, 5e3 + np.geomspace(10.0, 1e6, 51)],
 }
 
 
