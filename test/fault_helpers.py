@@ -91,13 +91,14 @@ def shift_recording(seed: int = 3) -> Recording:
 @functools.cache
 def shift(seed: int = 3) -> Shift:
     """Return the samples of :func:`shift_recording`."""
-    recording = shift_recording(seed)
-    return Shift(
-        tuple(items_of(recording)),
-        parameters_of(recording) | {"estimate.period": 0.02},
-        tuple(recording.truth["sites"]),
-        tuple(recording.truth["contacts"]),
-    )
+    return shift_of(shift_recording(seed), **{"estimate.period": 0.02})
+
+
+def shift_of(recording: Recording, **parameters: object) -> Shift:
+    """Return the samples of a recording, and the parameters that fit it."""
+    truth = recording.truth
+    own = parameters_of(recording) | parameters
+    return Shift(tuple(items_of(recording)), own, tuple(truth["sites"]), tuple(truth["contacts"]))
 
 
 @functools.cache

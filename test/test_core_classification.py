@@ -57,20 +57,22 @@ def test_liver_is_liver_and_ten_times_stiffer_is_unknown():
     assert stiff.label == UNKNOWN and stiff.probabilities[stiff.names.index(UNKNOWN)] > 0.99
 
 
-def test_evidence_is_the_density_of_the_estimate_under_spread_and_error():
-    rng = np.random.default_rng(0)
+def test_evidence_is_the_density_under_spread_and_error_without_the_estimators_prior():
+    rng, inverse = np.random.default_rng(0), np.linalg.inv
     for _ in range(20):
         tissues = [
             Tissue("t", rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.3, 0.2, 0.02)))
             for _ in range(3)
         ]
         library = TissueLibrary("l", tuple(tissues[:2]), tissues[2])
-        mean, error = rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.1, 0.3, 0.01))
-        found, _ = log_evidence(library, likelihood_of(mean, error, FLAT))
+        seen_at, error = rng.normal(LIVER.mean, 0.3), random_covariance(rng, (0.1, 0.05, 0.01))
+        covariance = inverse(inverse(error) + inverse(PRIOR_COVARIANCE))
+        mean = covariance @ (inverse(error) @ seen_at + inverse(PRIOR_COVARIANCE) @ PRIOR_MEAN)
+        found, _ = log_evidence(library, likelihood_of(mean, covariance, PRIOR))
         expected = [
-            multivariate_normal.logpdf(mean, t.mean, t.covariance + error) for t in tissues
+            multivariate_normal.logpdf(seen_at, t.mean, t.covariance + error) for t in tissues
         ]
-        np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-6, atol=1e-6)
 
 
 def test_learned_class_is_students_t():
@@ -87,20 +89,6 @@ def test_learned_class_is_students_t():
         draws = multivariate_t.rvs(np.zeros(3), np.eye(3), df=4.0, size=200_000, random_state=1)
         tail = np.mean(np.sum(draws**2, axis=1) > square)
         assert fits[0] == pytest.approx(tail, abs=0.01)
-
-
-def test_prior_of_the_estimator_is_taken_out_again():
-    rng = np.random.default_rng(1)
-    for _ in range(10):
-        data, truth = random_covariance(rng, (0.1, 0.05, 0.03)), rng.normal(LIVER.mean, 0.2)
-        covariance = np.linalg.inv(np.linalg.inv(data) + np.linalg.inv(PRIOR_COVARIANCE))
-        mean = covariance @ (
-            np.linalg.solve(data, truth) + np.linalg.solve(PRIOR_COVARIANCE, PRIOR_MEAN)
-        )
-        found = likelihood_of(mean, covariance, PRIOR)
-        np.testing.assert_allclose(found.information, np.linalg.inv(data), rtol=1e-6)
-        peak = found.centre + np.linalg.solve(found.information, found.score)
-        np.testing.assert_allclose(peak, truth, rtol=1e-6)
 
 
 def test_contact_that_showed_nothing_leaves_the_priors():

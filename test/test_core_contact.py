@@ -27,57 +27,50 @@ AREA = np.pi * 0.01**2
 NOISE = 3.0 * AREA
 
 
-def touched(strain_rate, bias, seed, **approach):
-    """The onset of a simulated press."""
-    scenario = ramp_scenario(strain_rate=strain_rate, tissue=LIVER)
-    scenario = replace(
-        scenario,
-        force=replace(scenario.force, bias_n=bias),
-        approach=replace(scenario.approach, **approach),
-    )
-    pairs = []
-    feed(Synchronizer(SynchronizeConfig(), pairs.append, Counter()), simulate(scenario, seed))
-    ((_, onset),) = (one for one in events_of(pairs)[1] if isinstance(one[1], Onset))
-    return onset
+def detected(pairs, **config):
+    """The detector after all pairs, and the onsets and releases at their times [s]."""
+    detector = ContactDetector(ContactConfig(**config), ORDER)
+    found = ((pair.stamp_ns, detector.add(pair)) for pair in pairs)
+    return detector, {(stamp_ns - START_NS) / 1e9: event for stamp_ns, event in found if event}
 
 
 def made(force, displacement, rate_hz=1000.0):
     """Pairs of two arrays on an even clock."""
-    period = round(1e9 / rate_hz)
-    return [
-        Pair(0, START_NS + n * period, float(f), float(d), None)
-        for n, (f, d) in enumerate(zip(force, displacement, strict=True))
-    ]
+    stamps = START_NS + round(1e9 / rate_hz) * np.arange(len(force))
+    columns = (column.tolist() for column in (stamps, force, displacement))
+    return [Pair(0, *sample, None) for sample in zip(*columns, strict=True)]
 
 
-def events_of(pairs, **config):
-    """The detector after all pairs, and (time [s], onset or release)."""
-    detector = ContactDetector(ContactConfig(**config), ORDER)
-    events = [
-        ((pair.stamp_ns - START_NS) / 1e9, event)
-        for pair in pairs
-        if (event := detector.add(pair))
-    ]
-    return detector, events
+def onsets(pairs):
+    return [event for event in detected(pairs)[1].values() if isinstance(event, Onset)]
 
 
-def onsets(events):
-    return [event for _, event in events if isinstance(event, Onset)]
+def is_one_contact(events):
+    return [*map(type, events.values())] == [Onset, Release]
 
 
-def kinds(events):
-    return [type(event) for _, event in events]
-
-
-def press(rng, *, before=2.0, pressing=1.0, after=2.0, peak=1.0, bias=0.3, noise=0.01):
+def press(rng, *, before=2.0, peak=1.0, bias=0.3):
     """Force and displacement of a soft spring that is pressed 5 mm and left, at 1 kHz."""
-    count = [round(1000 * part) for part in (before, pressing, after)]
-    rise = np.linspace(0.0, 1.0, count[1] // 2, endpoint=False)
-    depth = np.concatenate(
-        [np.linspace(-0.2, 0.0, count[0]), rise, 1.0 - rise, np.linspace(0.0, -0.2, count[2])]
-    )
-    force = peak * np.maximum(depth, 0.0) + bias + noise * rng.standard_normal(depth.size)
+    time = np.arange(0.0, before + 3.0, 1e-3)
+    ends = [0.0, before, before + 0.5, before + 1.0, before + 3.0]
+    depth = np.interp(time, ends, [-0.2, 0.0, 1.0, 0.0, -0.2])
+    force = peak * np.maximum(depth, 0.0) + bias + 0.01 * rng.standard_normal(depth.size)
     return force, 0.005 * depth
+
+
+def touched(strain_rate, bias, seed):
+    """The onset of a simulated press."""
+    scenario = ramp_scenario(strain_rate=strain_rate, tissue=LIVER)
+    near = 0.0005 if strain_rate < 0.1 else scenario.approach.slow_distance_m
+    scenario = replace(
+        scenario,
+        force=replace(scenario.force, bias_n=bias),
+        approach=replace(scenario.approach, slow_distance_m=near),
+    )
+    pairs = []
+    feed(Synchronizer(SynchronizeConfig(), pairs.append, Counter()), simulate(scenario, seed))
+    (onset,) = onsets(pairs)
+    return onset
 
 
 # Root mean square error of the strain origin, as a strain; measured 0.0002, 0.0006, 0.0006. Of 10
@@ -86,9 +79,8 @@ def press(rng, *, before=2.0, pressing=1.0, after=2.0, peak=1.0, bias=0.3, noise
 @pytest.mark.parametrize("seeds", counts(3, 20))
 @pytest.mark.parametrize(("strain_rate", "bound"), [(0.01, 0.0005), (0.1, 0.0012), (1.0, 0.0012)])
 def test_surface_bias_and_noise_are_found_before_the_touch(strain_rate, bound, seeds):
-    slow = {"slow_distance_m": 0.0005} if strain_rate < 0.1 else {}
     seeds = seeds if strain_rate >= 0.1 else min(seeds, 10)
-    found = [touched(strain_rate, 0.7, seed, **slow) for seed in range(seeds)]
+    found = [touched(strain_rate, 0.7, seed) for seed in range(seeds)]
     assert all(onset.seen for onset in found)
     errors = np.array([onset.displacement for onset in found]) / THICKNESS
     standard = np.array([onset.displacement_sd for onset in found]) / THICKNESS
@@ -111,8 +103,8 @@ def test_noise_is_no_contact_however_little_or_much_of_it_is_known(rate_hz, coun
     for seed in range(seeds if rate_hz < 1000 else max(seeds // 50, 1)):
         force = 0.2 + 0.01 * np.random.default_rng(seed).standard_normal(count)
         way = 0.01 * np.sin(np.arange(count) / rate_hz)
-        detector, events = events_of(made(force, way, rate_hz))
-        assert events == [] and detector.below_baseline == 0
+        detector, events = detected(made(force, way, rate_hz))
+        assert not events and detector.below_baseline == 0
     assert detector.mean_air_force() == pytest.approx(0.2, abs=5e-3)
 
 
@@ -120,28 +112,24 @@ def test_noise_is_no_contact_however_little_or_much_of_it_is_known(rate_hz, coun
 def test_brief_dip_of_the_force_does_not_end_a_contact(begin):
     force, displacement = press(np.random.default_rng(4))
     force[begin : begin + 35] = 0.3  # one whole chunk of 20 ms and no two, wherever they begin
-    _, events = events_of(made(force, displacement))
-    assert kinds(events) == [Onset, Release] and events[1][0] > 2.9
+    _, events = detected(made(force, displacement))
+    assert is_one_contact(events) and max(events) > 2.9
 
 
 def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_drift():
-    rng = np.random.default_rng(5)
-    force, displacement = press(rng)
+    force, displacement = press(np.random.default_rng(5))
     force[2500:] += 0.3  # as after an overload: the force never falls below the threshold again
-    assert kinds(events_of(made(force, displacement))[1]) == [Onset, Release]
+    assert is_one_contact(detected(made(force, displacement))[1])
     # It moves 1 mm in 2 s: a fifth of 5 mm below the surface is reached at the very end.
     displacement = np.where(np.arange(force.size) > 3000, displacement * 5.0, displacement)
-    _, events = events_of(made(force, displacement))
-    assert 3.0 < events[1][0] < 3.0 + 2.0 / 5 + 0.06
+    assert 3.0 < max(detected(made(force, displacement))[1]) < 3.0 + 2.0 / 5 + 0.06
 
 
 def test_a_drift_that_no_contact_comes_of_is_counted_once():
-    rng = np.random.default_rng(14)
-    force = 0.01 * rng.standard_normal(8000)
+    force = 0.01 * np.random.default_rng(14).standard_normal(8000)
     force[3000:] += np.minimum(np.arange(5000) * 1e-4, 0.1)
-    detector, events = events_of(made(force, np.zeros(8000)))
-    assert onsets(events) == []
-    assert detector.drifts == 1
+    detector, events = detected(made(force, np.zeros(8000)))
+    assert detector.drifts == 1 and not events
 
 
 @pytest.mark.parametrize("rate_hz", [125.0, 250.0, 500.0, 1000.0])
@@ -151,32 +139,29 @@ def test_a_brief_press_of_two_and_a_half_deviations_is_found_once(rate_hz):
     seconds = np.arange(0.0, 9.0, 1.0 / rate_hz)
     way = np.interp(seconds, [0.0, 4.7, 5.0, 5.03, 5.17, 5.2, 5.5], [-10, -10, 0, 1, 1, 0, -10])
     force = 0.05 * np.maximum(way, 0.0) + 0.02 * rng.standard_normal(way.size)
-    assert len(onsets(events_of(made(force, 2e-3 * way, rate_hz))[1])) == 1
+    assert len(onsets(made(force, 2e-3 * way, rate_hz))) == 1
 
 
 def test_force_that_swings_with_the_motion_is_no_contact_and_one_that_stands_out_is():
     # 12 Hz from the beginning of the motion on: nothing tells its first half from a contact.
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        rest, away = np.full(1500, -0.004), np.linspace(-0.004, 0.001, 1250)
-        displacement = np.concatenate([rest, away])
-        moving = np.arange(displacement.size) >= rest.size
-        time = np.arange(displacement.size) * 1e-3
-        swing = 0.1 * np.sin(2.0 * np.pi * 12.0 * time + rng.uniform(0.0, 2.0 * np.pi)) * moving
-        force = swing + 0.01 * rng.standard_normal(time.size)
-        assert events_of(made(force, displacement))[1] == []
+        time = np.arange(0.0, 2.75, 1e-3)
+        displacement = np.interp(time, [0.0, 1.5, 2.75], [-0.004, -0.004, 0.001])
+        swing = 0.1 * np.sin(2.0 * np.pi * 12.0 * time + rng.uniform(0.0, 2.0 * np.pi))
+        force = swing * (time >= 1.5) + 0.01 * rng.standard_normal(time.size)
+        assert not detected(made(force, displacement))[1]
         pressed = force + 1000.0 * np.maximum(displacement, 0.0)
-        (onset,) = onsets(events_of(made(pressed, displacement))[1])
+        (onset,) = onsets(made(pressed, displacement))
         assert abs(onset.displacement) < 3.0 * 3.0 * onset.displacement_sd
 
 
 @pytest.mark.parametrize("frequency", [5.0, 20.0, 50.0])
 def test_noise_of_a_force_that_swings_is_that_of_its_means_over_a_block(frequency):
     # 10 ms, the estimator's block: over a chunk of 20 ms a vibration of 35 or 50 Hz is over.
-    rng = np.random.default_rng(17)
-    force, displacement = press(rng, before=3.0, peak=2.0)
+    force, displacement = press(np.random.default_rng(17), before=3.0, peak=2.0)
     force += 0.05 * np.sin(2.0 * np.pi * frequency * np.arange(force.size) * 1e-3)
-    (onset,) = onsets(events_of(made(force, displacement))[1])
+    (onset,) = onsets(made(force, displacement))
     blocks = force[:3000].reshape(-1, 10).mean(axis=1)
     assert onset.noise_sd / np.sqrt(10.0) > 0.9 * blocks.std()
 
@@ -186,7 +171,7 @@ def test_force_that_rises_while_the_probe_rests_is_air_that_drifts():
     depth = np.concatenate([np.zeros(1500), np.linspace(0.0, 0.004, 1500)])
     force = 5.0 * 0.05 * np.expm1(np.maximum(depth - 0.002, 0.0) / 0.0016)
     force += 1e-5 * np.arange(3000) + 0.01 * rng.standard_normal(3000)
-    (onset,) = onsets(events_of(made(force, depth))[1])
+    (onset,) = onsets(made(force, depth))
     assert onset.seen and onset.drift > 0.0
 
 
@@ -197,18 +182,16 @@ def pressed_twice(after, *, wait_s, depth):
     0.4 mm deep on its way back from the first.
     """
     second = 5.0 + wait_s
-    corners = [(0, -2), (2, -2), (2.5, 0), (3.5, 3), (4.0, 3), (5, -1)]
-    corners += [(second, -1), (second + 0.25, 0), (second + 1.0, 1e3 * depth)]
-    corners += [(second + 1.5, 1e3 * depth), (second + 2.5, -1), (second + 6.0, -1)]
+    ends = [0.0, 2.0, 2.5, 3.5, 4.0, 5.0, *(second + np.array([0.0, 0.25, 1.0, 1.5, 2.5, 6.0]))]
+    ways = [-2e-3, -2e-3, 0.0, 3e-3, 3e-3, -1e-3, -1e-3, 0.0, depth, depth, -1e-3, -1e-3]
     seconds = np.arange(0.0, second + 6.0, 2e-3)
     elapsed = np.maximum(seconds - 4.65, 0.0)
     moved, force = after(elapsed)
     # The probe is back at rest before it presses again.
     share = np.clip((second - 0.1 - seconds) / 0.1, 0.0, 1.0) * (elapsed > 0.0)
-    way = np.interp(seconds, *np.array(corners).T) * 1e-3 + share * moved
-    force += 400.0 * np.maximum(way, 0.0)
+    way = np.interp(seconds, ends, ways) + share * moved
     rng = np.random.default_rng(7)
-    force += 0.02 * rng.standard_normal(force.size)
+    force += 400.0 * np.maximum(way, 0.0) + 0.02 * rng.standard_normal(force.size)
     way += 2e-6 * rng.standard_normal(way.size)
     return made(force, way, 500.0), [(2.5, 5.0), (second + 0.25, second + 2.5)]
 
@@ -243,8 +226,8 @@ def test_what_follows_a_release_is_no_contact_and_the_next_press_is(
     after, wait_s, depth, measure_bias
 ):
     pairs, presses = pressed_twice(AFTER_A_RELEASE[after], wait_s=wait_s, depth=depth)
-    _, events = events_of(pairs, measure_bias=measure_bias)
-    told = [at for at, event in events if isinstance(event, Onset)]
+    _, events = detected(pairs, measure_bias=measure_bias)
+    told = [at for at, event in events.items() if isinstance(event, Onset)]
     for at, (begin, end) in zip(told, presses, strict=True):
         assert begin < at < end
 
@@ -255,10 +238,13 @@ def test_a_force_that_rises_under_a_probe_at_rest_is_a_contact_before_the_first_
     force, way = press(rng, bias=0.0)
     way = np.maximum(way, 0.0)
     step = np.where(np.arange(2000) > 1000, 0.5, 0.0) + 0.01 * rng.standard_normal(2000)
-    before = made(np.concatenate([step, force]), np.concatenate([np.zeros(2000), way]))
-    assert events_of(before, measure_bias=False)[1][0][0] < 2.0
-    after = made(np.concatenate([force, step]), np.concatenate([way, np.zeros(2000)]))
-    assert kinds(events_of(after, measure_bias=False)[1]) == [Onset, Release]
+    rest = np.zeros(2000)
+    before, after = (
+        made(np.r_[step, force], np.r_[rest, way]),
+        made(np.r_[force, step], np.r_[way, rest]),
+    )
+    assert min(detected(before, measure_bias=False)[1]) < 2.0
+    assert is_one_contact(detected(after, measure_bias=False)[1])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -297,11 +283,11 @@ def impact(seed, mass):
 def test_inertia_of_a_mass_beyond_the_sensor_is_found_in_the_air(seeds):
     for seed in range(seeds):
         mass = np.random.default_rng(1000 + seed).uniform(0.03, 0.2)
-        detector, events = events_of(impact(seed, mass))
-        (onset,) = onsets(events)
+        detector, events = detected(impact(seed, mass))
+        (onset,) = (event for event in events.values() if isinstance(event, Onset))
         assert detector.inertial == 1 and not onset.seen
         # The inertia hides the touch, so that some of the contact is taken for the air.
         assert 0.35 * mass < detector.mass < 1.2 * mass
-        detector, events = events_of(impact(seed, 0.0))
-        (onset,) = onsets(events)
+        detector, events = detected(impact(seed, 0.0))
+        (onset,) = (event for event in events.values() if isinstance(event, Onset))
         assert detector.inertial == 0 and onset.seen

@@ -122,6 +122,9 @@ def errors(record: Palpated, place: ContactSummary) -> tuple[float, float]:
     return off * stiffness.value / stiffness.sd, alpha / estimate.fractional_order_sd
 
 
+#: In pascals only where the probe is stated and its modulus needs no depth.
+COLUMN = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
+SPHERE = {"geometry.kind": "sphere", "geometry.radius": 0.003}
 CONDITIONS = first(
     ("constant", True), ("smooth", True), ("edge", False), ("constant", False), ("edge", True)
 )
@@ -129,13 +132,19 @@ CONDITIONS = first(
 
 @pytest.mark.parametrize("seeds", counts(3, 12))
 @pytest.mark.parametrize("condition", CONDITIONS, ids=str)
-def test_deviations_hold_along_the_path(condition, seeds):
+def test_deviations_of_stiffness_alpha_and_complex_modulus_hold_along_the_path(condition, seeds):
     profile, is_rigid = condition
     found = []
     for seed in range(seeds):
         record = palpated(seed, profile, is_rigid=is_rigid)
-        outputs = identify(record, **(RIGID if is_rigid else {}))[1]
+        outputs = identify(record, **COLUMN, **(RIGID if is_rigid else {}))[1]
         found += [errors(record, place) for place in known_places(outputs)]
+        *before, last = (one.modulus for one in of(DynamicModulus, outputs))
+        assert len(before) > 20
+        truth = record.stiffness[-1] * COLUMN["geometry.thickness"] / COLUMN["geometry.area"]
+        assert math.hypot(last.storage, last.loss) == pytest.approx(truth, abs=4.0 * last.sd)
+        sd = last.fractional_order_sd
+        assert last.fractional_order == pytest.approx(record.order, abs=4.0 * sd)
     assert len(found) > 15 * seeds
     rms = np.sqrt(np.mean(np.square(found), axis=0))
     # The places of one record have errors in common.
@@ -157,27 +166,10 @@ def test_alpha_is_the_mean_of_the_prior_and_of_the_phase_weighed_by_their_varian
     )
 
 
-def test_the_complex_modulus_is_the_stiffness_by_the_geometry():
-    area, thickness = 1e-4, 0.02
-    record = palpated(2, is_rigid=True)
-    geometry = {"geometry.area": area, "geometry.thickness": thickness}
-    _, outputs = identify(record, **RIGID, **geometry)
-    moduli = [one.modulus for one in of(DynamicModulus, outputs)]
-    assert len(moduli) > 20
-    last = moduli[-1]
-    truth = 400.0 * thickness / area
-    assert math.hypot(last.storage, last.loss) == pytest.approx(truth, abs=4.0 * last.sd)
-    assert last.fractional_order == pytest.approx(record.order, abs=4.0 * last.fractional_order_sd)
-    # In pascals only where the probe is stated and its modulus needs no depth.
-    short = palpated(2, is_rigid=True, duration=20.0)
-    for other in ({}, {"geometry.kind": "sphere", "geometry.radius": 0.003}):
-        assert not of(DynamicModulus, identify(short, **other)[1])
-
-
 @pytest.mark.parametrize("profile", ["air", "constant"])
 def test_what_gives_no_answer_has_no_stiffness(profile):
     amplitude = 1e-3 if profile == "air" else 0.0
-    pipeline, outputs = identify(palpated(3, profile, amplitude=amplitude))
+    pipeline, outputs = identify(palpated(3, profile, amplitude=amplitude, duration=20.0))
     assert of(TissueState, outputs)
     assert not any(one.apparent_stiffness for one in of(TissueState, outputs))
     assert not known_places(outputs)
@@ -189,7 +181,7 @@ def test_what_gives_no_answer_has_no_stiffness(profile):
 @pytest.mark.parametrize("seed", first(6, 7, 8))
 def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay, seed):
     """A position that is late by 60 ms makes 0.36 of alpha at 1.5 Hz."""
-    pipeline, outputs = identify(palpated(seed, is_rigid=True, delay=delay))
+    pipeline, outputs = identify(palpated(seed, is_rigid=True, delay=delay, duration=25.0))
     places = of(ContactSummary, outputs)[5:]
     assert len(places) > 10 and not any(one.is_of_path for one in places)
     assert all(Flag.AT_PRIOR_LIMIT in one.flags and not one.estimate.observable for one in places)
@@ -198,7 +190,8 @@ def test_a_force_out_of_step_is_told_and_neither_alpha_nor_stiffness_known(delay
 
 def test_a_long_gap_ends_the_place_and_forgets_it():
     record = palpated(8, duration=20.0)
-    pipeline, outputs = identify(record, replace(record, time=record.time + 25.0))
+    pipeline, outputs = identify(record, replace(record, time=record.time + 25.0), **SPHERE)
+    assert not of(DynamicModulus, outputs)
     places, again_ns = of(ContactSummary, outputs), START_NS + 25_000_000_000
     count = sum(one.end_ns < again_ns for one in places)
     last, *after = places[count - 1 :]
@@ -219,6 +212,7 @@ def test_a_failure_ends_one_place_and_the_next_is_identified(monkeypatch):
 
     monkeypatch.setattr(LocalStiffness, "add", fail_once)
     pipeline, outputs = identify(palpated(12))
+    assert not of(DynamicModulus, outputs)
     failed = [one for one in of(ContactSummary, outputs) if Flag.ESTIMATION_FAILED in one.flags]
     assert len(failed) == 1 and not failed[0].complete
     assert [one.site_id for one in pipeline.failures] == [failed[0].site_id]
@@ -237,8 +231,7 @@ def test_the_default_mode_claims_nothing_of_a_probe_that_taps_as_it_slides(seed)
     own = {"time": record.time, "displacement": record.displacement, "way": record.way}
     own = {name: column[pressed] for name, column in own.items()}
     tapping = replace(record, force=force[pressed], **own)
-    geometry = {"geometry.kind": "sphere", "geometry.radius": 0.003}
-    _, outputs = identify(tapping, **{"contact.mode": "touch", **geometry})
+    _, outputs = identify(tapping, **{"contact.mode": "touch", **SPHERE})
     contacts = of(ContactSummary, outputs)
     assert len(contacts) > 10
     assert all(one.flags and not one.converged for one in contacts)

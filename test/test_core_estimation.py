@@ -255,12 +255,9 @@ def test_same_samples_in_other_parts_give_the_same_bits() -> None:
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))
-def test_shares_add_up_to_the_variance_and_another_laying_changes_little(seed: int) -> None:
+def test_another_laying_changes_little(seed: int) -> None:
     """A settled grid is laid anew: by less than .05 of a deviation in the mean."""
     estimator, before = released(pressed(seed), Uncertainty())
-    parts = np.array(list(estimator.best.posterior().shares().values()))
-    np.testing.assert_allclose(parts.sum(axis=0), np.diag(before.covariance)[:2], rtol=1e-6)
-    assert np.all(parts >= 0.0)
     estimator.best.lay_again()
     moved = np.abs(estimator.estimate().mean - before.mean) / before.deviations
     assert moved.max() < 0.05

@@ -103,30 +103,19 @@ def test_hayes_factor_is_the_published_table(aspect_ratio):
     assert found == pytest.approx(HAYES_TABLE[aspect_ratio], rel=5e-3)
 
 
-def test_sphere_keeps_the_memory_of_lee_and_radok():
-    # F = 4/3 sqrt(R) E*(t) * d(delta^1.5) with the fractional E*(t) = G t^-alpha/Gamma(1-alpha):
-    # for delta^1.5 growing linearly, F = 4/3 sqrt(R) G rate t^(1-alpha)/Gamma(2-alpha). Its
-    # fractional integral, as stress, must be G times the strain.
-    G, alpha, radius, rate = 800.0, 0.2, 0.005, 3e-5
-    sphere = Sphere(radius)
-    times = np.linspace(0.0, 2.0, 4001)
-    force = 4.0 / 3.0 * math.sqrt(radius) * G * rate * times ** (1 - alpha) / math.gamma(2 - alpha)
-    memory = StressMemory()
-    for value in (force * sphere.stress_per_force)[1:]:
-        memory.press(times[1], float(value))
-        last = memory.means(1)
-    strain = sphere.strain((rate * times[-1]) ** (2 / 3) / sphere.length)
-    # Only the curved first samples of t^0.8 are not linear between samples.
-    assert memory_weights(alpha) @ last == pytest.approx(G * strain, rel=1e-5)
-
-
-def test_torsional_rheometer_is_the_mean_of_the_sample_by_appendix_a():
-    # Outer stress 2 T/(pi R^3) and outer strain R theta/d, halved.
-    radius, height, angle = 0.01, 0.005, 0.05
-    rheometer = TorsionalRheometer(radius, height)
-    assert rheometer.stress_per_force == pytest.approx(1.0 / (math.pi * radius**3))
-    strain = 0.5 * radius * angle / height
-    assert rheometer.strain(angle / rheometer.length) == pytest.approx(strain)
+def test_geometries_have_the_stress_of_elastic_theory():
+    """Hertz and Lee and Radok, torsion with the mean of the sample by Appendix A, a column."""
+    size, depth = 0.005, 2e-4
+    # For G = 1 the stress is the strain.
+    sphere, rod, column = Sphere(size), TorsionalRheometer(0.01, size), FlatPunch(1e-4, size)
+    rod_strain = 0.5 * 0.01 * depth / size
+    for geometry, force, strain in (
+        (sphere, 4.0 / 3.0 * math.sqrt(size) * depth**1.5, (depth / size) ** 1.5),
+        (rod, math.pi * 0.01**3 * rod_strain, rod_strain),
+        (column, 1e-4 * depth / size, depth / size),
+    ):
+        assert force * geometry.stress_per_force == pytest.approx(strain)
+        assert geometry.strain(depth / geometry.length) == pytest.approx(strain)
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES, ids=lambda g: type(g).__name__)

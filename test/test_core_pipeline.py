@@ -4,7 +4,7 @@
 """The pipeline as a whole: the life of contacts and sites, gaps, resets, and the order of outputs.
 
 The truth comes from the simulation, which shares nothing with the core. Faults of the input are in
-``test_faults.py``, accuracy over many seeds in ``test_core_posterior.py``.
+``test_faults.py``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import TISSUE, Outcome, Shift, is_wrong, outcome_of
+from fault_helpers import TISSUE, Outcome, Shift, is_wrong, outcome_of, shift_of
 from pipeline_helpers import Item, begun, items_of, parameters_of
 
 from benchmark.trial import fed
@@ -27,7 +27,6 @@ from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
     Flag,
-    Output,
     Phase,
     Status,
     TissueState,
@@ -42,12 +41,11 @@ RATE = 250.0
 FIRM = RampHold(0.3, 0.26, 0.3)
 #: Three presses of one place, 0.9 s apart: sooner than `site.timeout`.
 THREE = (Palpation(0.3, 0.26, 0.3, presses=3, lift_m=0.002, pause_s=0.3),)
-#: The release is seen after this, two chunks of 20 ms and one sample at most [ns].
-#: A summary comes within this time after the release, unless samples end before.
-SUMMARY_NS = 600_000_000
+#: A release is seen after two chunks of 20 ms and one sample at most; a summary comes within this
+#: time after it, unless samples end before [ns].
+RELEASE_NS, SUMMARY_NS = 64_000_000, 600_000_000
 #: Block by which the first grids of a contact are laid.
 SOLVED = 20
-RELEASE_NS = 64_000_000
 
 
 def at(data: Shift, number: int, share: float) -> int:
@@ -62,24 +60,18 @@ def between(data: Shift, begin: float, end: float) -> list[Item]:
 
 @functools.cache
 def presses(
-    kinds: tuple[Trajectory, ...] = THREE,
-    sites: int = 1,
-    message: str = "joint_state",
-    pause_s: float = 3.0,
+    kinds: tuple[Trajectory, ...] = THREE, sites: int = 1, message: str = "joint_state"
 ) -> Shift:
-    recording = simulate(
-        replace(
-            ramp_scenario(rate_hz=RATE, seed=3),
-            approach=Approach(distance_m=0.004, start_pause_s=1.0, site_pause_s=pause_s),
-            sites=tuple(Site(TISSUE, kinds, (0.02 * k, 0.0)) for k in range(sites)),
-            displacement=DisplacementSensor(rate_hz=RATE, message=message, noise_m=1e-6),
+    """Return presses of one place, or one of each site, half a second apart."""
+    return shift_of(
+        simulate(
+            replace(
+                ramp_scenario(rate_hz=RATE, seed=3),
+                approach=Approach(distance_m=0.004, start_pause_s=1.0, site_pause_s=0.5),
+                sites=tuple(Site(TISSUE, kinds, (0.02 * k, 0.0)) for k in range(sites)),
+                displacement=DisplacementSensor(rate_hz=RATE, message=message, noise_m=1e-6),
+            )
         )
-    )
-    return Shift(
-        tuple(items_of(recording)),
-        parameters_of(recording),
-        tuple(recording.truth["sites"]),
-        tuple(recording.truth["contacts"]),
     )
 
 
@@ -88,38 +80,24 @@ def outcome(data: Shift, items: Sequence[Any] | None = None, **parameters: objec
     return outcome_of(data.items if items is None else items, data.parameters | own)
 
 
-@functools.cache
-def undisturbed() -> Outcome:
-    """What is made of three presses of one place."""
-    return outcome(presses())
-
-
-def with_call(data: Shift, stamp_ns: int, call: Callable[[Pipeline], object]) -> list[Any]:
-    return [*between(data, 0, stamp_ns), call, *between(data, stamp_ns, math.inf)]
-
-
 def sd_of(output: Any) -> float:
     return math.sqrt(output.estimate.covariance[1, 1])
 
 
 def states_in(result: Outcome, contact_id: int) -> list[TissueState]:
     """States from one contact, without those in the air after it."""
-    return [
-        state
-        for state in result.states
-        if state.contact_id == contact_id and state.phase is not Phase.APPROACH
-    ]
+    own = [state for state in result.states if state.contact_id == contact_id]
+    return [state for state in own if state.phase is not Phase.APPROACH]
 
 
 def ids(outputs: Sequence[Any]) -> list[tuple[int, int]]:
     return [(output.site_id, output.contact_id) for output in outputs]
 
 
-def without_ids(output: Output) -> bytes:
-    return pickle.dumps(replace(output, site_id=0, contact_id=0))
-
-
-# Several contacts of one site
+@functools.cache
+def undisturbed() -> Outcome:
+    """What is made of three presses of one place."""
+    return outcome(presses())
 
 
 def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> None:
@@ -140,56 +118,53 @@ def test_each_contact_of_a_site_adds_to_what_the_ones_before_have_taught() -> No
 def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
     data, result = presses(), undisturbed()
     begin, end = result.summaries[0].stamp_ns + RELEASE_NS, data.contacts[1]["start_ns"]
-    between = [state for state in result.states if begin < state.stamp_ns < end]
-    assert len(between) > 20
-    for state in between:
-        assert state.status is Status.NO_CONTACT and state.phase is Phase.APPROACH
-        assert (state.site_id, state.contact_id) == (1, 1)
-        assert state.estimate is not None and state.signals is None and state.innovation is None
+    held = [state for state in result.states if begin < state.stamp_ns < end]
     before = [state for state in result.states if state.stamp_ns < data.contacts[0]["start_ns"]]
-    assert all(s.estimate is None and (s.site_id, s.contact_id) == (0, 0) for s in before)
+    assert len(held) > 20 and set(ids(held)) == {(1, 1)} and set(ids(before)) == {(0, 0)}
+    for state in held:
+        assert state.status is Status.NO_CONTACT and state.phase is Phase.APPROACH
+        assert state.estimate is not None and state.signals is None and state.innovation is None
+    assert all(state.estimate is None for state in before)
 
 
 # Gaps in contact
 
 
-def gap(data: Shift) -> tuple[list[Item], int]:
-    """Leave out 0.2 s of the first ramp; return the rest and the stamp where that begins."""
+def with_gap(max_gap: float) -> tuple[Outcome, int]:
+    """Leave out 0.2 s of the first of two ramps; return what comes of it, and where it begins."""
+    data = presses()
     begin = at(data, 0, 0.4)
-    end = begin + SECOND // 5
-    return [item for item in data.items if not begin <= item.stamp_ns < end], begin
+    end, third = begin + SECOND // 5, at(data, 2, -0.1)
+    items = [*between(data, 0, begin), *between(data, end, third)]
+    return outcome(data, items, synchronize__max_gap=max_gap), begin
 
 
 def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory() -> None:
-    data = presses()
-    result = outcome(data, gap(data)[0], synchronize__max_gap=0.21)
-    assert ids(result.summaries)[:2] == [(1, 1), (1, 2)]
+    result, _ = with_gap(0.21)
+    assert ids(result.summaries) == [(1, 1), (1, 2)]
     for summary in result.summaries:
         # The memory of the site spans the gap from then on.
         assert summary.complete and summary.converged and summary.flags & Flag.GAP
-        assert not is_wrong(summary, data.sites[0])
+        assert not is_wrong(summary, presses().sites[0])
     assert sd_of(result.summaries[1]) < 0.9 * sd_of(result.summaries[0])
 
 
 def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more() -> None:
-    data = presses()
-    items, begin = gap(data)
-    result = outcome(data, items, synchronize__max_gap=0.19)
-    first, *later = result.summaries
-    assert ids(result.summaries)[:2] == [(1, 1), (1, 2)]
+    result, begin = with_gap(0.19)
+    first, later = result.summaries
+    assert ids(result.summaries) == [(1, 1), (1, 2)]
     # It ends with the last pair before the gap, and is reported once.
     assert not first.complete and first.flags & Flag.GAP
     assert begin - SECOND / RATE - 1 <= first.end_ns < begin
-    assert first.estimate is not None and not is_wrong(first, data.sites[0])
+    assert first.estimate is not None and not is_wrong(first, presses().sites[0])
     # The probe presses on: the states go on, without a number.
     after = [s for s in states_in(result, 1) if s.stamp_ns > first.end_ns]
     assert len(after) > 20
     assert all(s.estimate is None and s.status is Status.UNKNOWN for s in after)
     assert all(s.flags & Flag.GAP and s.signals is not None for s in after)
-    # What the tissue remembers of the gap is not known, so later contacts there say nothing.
-    for summary in later:
-        assert summary.complete and summary.flags & Flag.GAP
-        assert summary.estimate is None and not summary.converged and summary.classes is None
+    # What the tissue remembers of the gap is not known, so a later contact there says nothing.
+    assert later.complete and later.flags & Flag.GAP
+    assert later.estimate is None and not later.converged and later.classes is None
 
 
 # Faint contacts
@@ -205,20 +180,15 @@ def test_a_first_contact_fainter_than_four_release_thresholds_makes_no_site(
     assert first.complete and first.contact_id == 1
     assert ids([second]) == [(site_id, 2)]
     assert second.converged and not is_wrong(second, data.sites[0])
-    in_between = [
-        state
-        for state in result.states
-        if at(data, 0, 1.0) + RELEASE_NS < state.stamp_ns < at(data, 1, 0.0)
-    ]
+    begin, end = at(data, 0, 1.0) + RELEASE_NS, at(data, 1, 0.0)
+    in_between = [state for state in result.states if begin < state.stamp_ns < end]
     assert set(ids(in_between)) == ({(0, 0)} if site_id == 2 else {(1, 1)})
 
 
 def test_a_force_that_relaxes_while_the_probe_holds_is_no_release() -> None:
     """It falls to a tenth, below half of the threshold; then the probe lifts."""
-    scenario = ramp_scenario(
-        strain_rate=0.5, max_strain=0.1, hold_s=20.0, tissue=Tissue(5000.0, 8.0, 0.5), rate_hz=50.0
-    )
-    recording = simulate(scenario)
+    press = {"strain_rate": 0.5, "max_strain": 0.1, "hold_s": 20.0, "rate_hz": 50.0}
+    recording = simulate(ramp_scenario(tissue=Tissue(5000.0, 8.0, 0.5), **press))
     threshold = {"force.threshold": 0.4 * float(recording.force.value.max())}
     (contact,) = outcome_of(items_of(recording), parameters_of(recording) | threshold).summaries
     (truth,) = recording.truth["contacts"]
@@ -228,58 +198,55 @@ def test_a_force_that_relaxes_while_the_probe_holds_is_no_release() -> None:
 # Resets: what makes the pipeline forget, and what goes on
 
 
-def clock_back(data: Shift, stamp_ns: int) -> list[Item]:
+def two_sites(message: str = "joint_state") -> Shift:
+    """One press each; without positions they look like one."""
+    return presses((FIRM,), sites=2, message=message)
+
+
+def clock_back(data: Shift) -> list[Item]:
+    stamp_ns = at(data, 0, 1.0) + SECOND // 4
     return [
         item._replace(stamp_ns=item.stamp_ns - 100 * SECOND) if item.stamp_ns >= stamp_ns else item
         for item in data.items
     ]
 
 
-def in_the_air(data: Shift) -> int:
-    return at(data, 0, 1.0) + SECOND // 4
-
-
-def beside() -> Shift:
-    """Three sites, one press each, half a second apart; without positions they look like one."""
-    return presses((FIRM,), sites=3, pause_s=0.5)
-
-
 FORGETTING: dict[str, Callable[[], Outcome]] = {
-    "reset": lambda: outcome(beside(), with_call(beside(), in_the_air(beside()), Pipeline.reset)),
-    "clock_back": lambda: outcome(beside(), clock_back(beside(), in_the_air(beside()))),
-    "timeout": lambda: outcome(beside(), site__timeout=0.5, site__without_position="other"),
-    "moved": lambda: outcome(presses((FIRM,), sites=3, message="pose", pause_s=0.5)),
+    "clock_back": lambda: outcome(two_sites(), clock_back(two_sites())),
+    "timeout": lambda: outcome(two_sites(), site__timeout=0.5, site__without_position="other"),
+    "moved": lambda: outcome(two_sites("pose")),
 }
 
 
 @pytest.mark.parametrize("name", FORGETTING)
-def test_nothing_that_was_learned_passes_a_reset(name: str) -> None:
+def test_nothing_that_was_learned_passes_to_another_site_or_time(name: str) -> None:
     result = FORGETTING[name]()
     first, second = (states_in(result, contact_id)[SOLVED] for contact_id in (1, 2))
     assert sd_of(second) == pytest.approx(sd_of(first), rel=0.1)
     assert first.status is second.status is Status.CONVERGING
-    assert ids(result.summaries[:2]) == [(1, 1), (2, 2)]
-    assert all(s.complete and s.converged and not s.flags for s in result.summaries[:2])
-    assert not any(is_wrong(summary, beside().sites[0]) for summary in result.summaries[:2])
-    assert result.pipeline.contact_count == len(result.summaries)
-    assert result.pipeline.site_count == result.summaries[-1].site_id
+    assert ids(result.summaries) == [(1, 1), (2, 2)]
+    assert all(s.complete and s.converged and not s.flags for s in result.summaries)
+    assert not any(is_wrong(summary, two_sites().sites[0]) for summary in result.summaries)
+    assert result.pipeline.contact_count == result.pipeline.site_count == 2
     jumped = [words for words in result.pipeline.warnings if "clock jumped back" in words]
     assert len(jumped) == (name == "clock_back")
 
 
 def test_after_a_reset_everything_is_as_in_a_new_pipeline_but_ids_and_counts() -> None:
     data = presses()
-    stamp_ns = in_the_air(data)
-    items = with_call(data, stamp_ns, Pipeline.reset)
-    spoiled = items[20]._replace(value=math.nan)
-    result = outcome(data, [*items[:20], spoiled, *items[20:]])
-    fresh = outcome(data, between(data, stamp_ns, math.inf))
-    start = next(k for k, output in enumerate(result.outputs) if output.stamp_ns >= stamp_ns)
-    after = result.outputs[start:]
-    assert [without_ids(o) for o in after] == [without_ids(o) for o in fresh.outputs]
-    assert ids(result.summaries) == [(1, 1), (2, 2), (2, 3)]
-    assert ids(fresh.summaries) == [(1, 1), (1, 2)]
-    before = outcome(data, between(data, 0, stamp_ns))
+    stamp_ns, end = at(data, 0, 1.0) + SECOND // 4, at(data, 2, -0.1)
+    spoiled = data.items[20]._replace(value=math.nan)
+    early, late = between(data, 0, stamp_ns), between(data, stamp_ns, end)
+    before, fresh = outcome(data, early), outcome(data, late)
+    result = outcome(data, [*early[:20], spoiled, *early[20:], Pipeline.reset, *late])
+    after = [output for output in result.outputs if output.stamp_ns >= stamp_ns]
+    bare = [
+        [pickle.dumps(replace(output, site_id=0, contact_id=0)) for output in outputs]
+        for outputs in (after, fresh.outputs)
+    ]
+    assert bare[0] == bare[1]
+    assert ids(result.summaries) == [(1, 1), (2, 2)]
+    assert ids(fresh.summaries) == [(1, 1)]
     assert result.pipeline.pair_count == before.pipeline.pair_count + fresh.pipeline.pair_count
     assert result.pipeline.rejected.total() == 1 and not fresh.pipeline.rejected
 
