@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from core_helpers import stress_over_g
-from property_helpers import counts
+from property_helpers import counts, first
 
 from benchmark.trial import feed
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
@@ -217,14 +217,17 @@ AFTER_A_RELEASE = {
 }
 
 
-@pytest.mark.parametrize("measure_bias", [True, False])
-@pytest.mark.parametrize(
-    ("wait_s", "depth"), [(0.6, 3e-3), (6.0, 3e-3), (6.0, 0.5e-3)], ids=["soon", "later", "gentle"]
-)
+#: Time until the next press [s], its depth [m], and whether the bias is measured.
+NEXT_PRESSES = [
+    *first((0.6, 3e-3, True), (0.6, 3e-3, False), (6.0, 3e-3, True), (6.0, 3e-3, False)),
+    *first((6.0, 0.5e-3, False), (6.0, 0.5e-3, True)),
+]
+
+
+@pytest.mark.parametrize("next_press", NEXT_PRESSES, ids=str)
 @pytest.mark.parametrize("after", AFTER_A_RELEASE)
-def test_what_follows_a_release_is_no_contact_and_the_next_press_is(
-    after, wait_s, depth, measure_bias
-):
+def test_what_follows_a_release_is_no_contact_and_the_next_press_is(after, next_press):
+    wait_s, depth, measure_bias = next_press
     pairs, presses = pressed_twice(AFTER_A_RELEASE[after], wait_s=wait_s, depth=depth)
     _, events = detected(pairs, measure_bias=measure_bias)
     told = [at for at, event in events.items() if isinstance(event, Onset)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from core_helpers import off, states_of
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
-from property_helpers import counts
+from property_helpers import counts, first
 
 from benchmark.presses import CASES, trial_of
 from fden_ros.core.outputs import ContactSummary, Flag, Status
@@ -49,16 +49,20 @@ def test_unloading_beyond_what_is_stated_of_the_rig_is_flagged_and_counts(
         assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
 
 
-@pytest.mark.parametrize("stated", [None, 5e-4], ids=["an arm's", "stated"])
-@pytest.mark.parametrize("play", [3e-4, 6e-4])
+#: Play, and the deviation that is stated of it; None: an arm's.
+PLAYS = [*first((3e-4, 5e-4), (3e-4, None), (6e-4, 5e-4)), (6e-4, None)]
+
+
+@pytest.mark.parametrize("play", PLAYS, ids=str)
 @pytest.mark.parametrize("numbers", counts(1, 8))
 def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good_status(
-    play, stated, numbers
+    play, numbers
 ):
-    case = replace(CASES["backlash_50um"], disturbances=Disturbances(backlash_m=play))
+    size, stated = play
+    case = replace(CASES["backlash_50um"], disturbances=Disturbances(backlash_m=size))
+    parameters = {"displacement.backlash_sd": stated} if stated else {}
     claimed = 0
     for number in range(numbers):
-        parameters = {"displacement.backlash_sd": stated} if stated else {}
         (contact,) = trial_of(case, number, parameters).contacts
         if contact.converged and not contact.flags:
             assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
@@ -69,18 +73,19 @@ def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good
 # Contacts judged by the air after them
 
 
-def recorded(**disturbances):
+def pressed(change=lambda item, touch_ns, end_ns: item, axis=None, **disturbances):
+    """Return the outputs of a press whose samples are changed."""
     own = Disturbances(**disturbances)
     recording = simulate(replace(ramp_scenario(rate_hz=250.0, seed=5), disturbances=own))
-    return items_of(recording), parameters_of(recording) | EXACT
+    touch = recording.truth["contacts"][0]
+    items = [change(i, touch["start_ns"], touch["end_ns"]) for i in items_of(recording)]
+    return identified(items, parameters_of(recording) | EXACT | (axis or {}))[1]
 
 
 def test_contact_in_which_the_force_crept_is_flagged_and_widened():
     # With more, the tissue seems to have changed, and nothing is known to be widened.
-    items, parameters = recorded(creep_n=0.005)
-    first, last = summaries_of(identified(items, parameters)[1])
-    assert not first.flags & Flag.FORCE_DRIFTED
-    assert last.flags & Flag.FORCE_DRIFTED
+    first, last = summaries_of(pressed(creep_n=0.005))
+    assert last.flags & ~first.flags & Flag.FORCE_DRIFTED
     assert (last.contact_id, last.end_ns) == (first.contact_id, first.end_ns)
     assert last.stamp_ns > first.stamp_ns
     # alpha is given.
@@ -90,16 +95,12 @@ def test_contact_in_which_the_force_crept_is_flagged_and_widened():
 
 
 def test_first_contact_whose_air_was_none_is_withdrawn():
-    items, parameters = recorded()
-    # The force falls to where it is without any contact only after the press.
-    (touched,) = summaries_of(identified(items, parameters)[1])
-    pressed = [
-        item._replace(value=item.value + 0.2)
-        if item.stream == FORCE and item.stamp_ns < touched.end_ns
-        else item
-        for item in items
-    ]
-    first, last = summaries_of(identified(pressed, parameters)[1])
+    def loaded(item, touch_ns, end_ns):
+        """The force falls to where it is without any contact only after the press."""
+        is_raised = item.stream == FORCE and item.stamp_ns < end_ns
+        return item._replace(value=item.value + 0.2) if is_raised else item
+
+    first, last = summaries_of(pressed(loaded))
     assert first.estimate is not None
     assert last.estimate is None and not last.converged
     assert last.flags & Flag.TOUCH_NOT_OBSERVED
@@ -111,24 +112,23 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
 AXIS = {"displacement.message": "point", "displacement.axis": [0.0, 0.0, 1.0]}
 
 
-def pressed(aside):
+def dragged(aside):
     """Return the outputs of a press to 6 mm, that goes `aside` of (time [s], depth [m]) [m]."""
-    recording = simulate(ramp_scenario(rate_hz=250.0, seed=5))
-    touch_ns = recording.truth["contacts"][0]["start_ns"]
     generator = np.random.default_rng(2)
 
-    def placed(item):
+    def placed(item, touch_ns, end_ns):
+        if item.stream == FORCE:
+            return item
         way = aside(1e-9 * (item.stamp_ns - touch_ns), max(item.value, 0.0))
         return item._replace(position=(way + generator.normal(0.0, 2e-4), 0.0, item.value))
 
-    items = [item if item.stream == FORCE else placed(item) for item in items_of(recording)]
-    return identified(items, parameters_of(recording) | EXACT | AXIS)[1]
+    return pressed(placed, AXIS)
 
 
 def test_a_contact_in_which_the_probe_is_dragged_aside_claims_nothing_and_a_tilted_press_does():
-    (summary,) = summaries_of(pressed(lambda time, depth: 0.3 * depth))
+    (summary,) = summaries_of(dragged(lambda time, depth: 0.3 * depth))
     assert summary.converged and not summary.flags & Flag.TOUCH_NOT_OBSERVED
-    outputs = pressed(lambda time, depth: 0.02 * max(time - 1.0, 0.0))
+    outputs = dragged(lambda time, depth: 0.02 * max(time - 1.0, 0.0))
     (summary,) = summaries_of(outputs)
     assert summary.flags & Flag.TOUCH_NOT_OBSERVED
     assert summary.estimate is None and not summary.converged
