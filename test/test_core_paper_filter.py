@@ -17,7 +17,7 @@ from pipeline_helpers import of_columns, summaries_of
 from property_helpers import counts, first
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Setting, Touch
-from fden_ros.core.law import PassThrough
+from fden_ros.core.law import PassThrough, TorsionalRheometer
 from fden_ros.core.paper_filter import PaperFilter, _Bank, _Block, _Grid
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
@@ -164,6 +164,22 @@ def test_a_later_contact_of_a_place_claims_nothing():
     estimator.add([STEP], [0.01], [10.0], [True])
     assert estimator.innovation is None
     assert not estimator.estimate().known
+
+
+def test_a_twist_without_an_approach_begins_at_rest():
+    times, knots, strains = np.arange(1, 2001) * STEP, np.array([0.0, 1.0, 2.1]), [0.0, 0.25, 0.25]
+    moves = moves_of_knots(knots, np.array(strains))
+    stresses = stress_of_moves(moves, times, FdenModel(500.0, 8.0, 0.15))
+    noise_sd = 1e-3 * stresses.max()
+    stresses = stresses + noise_sd * np.random.default_rng(0).normal(size=times.size)
+    config = EstimatorConfig(Prior(), uncertainty=NOTHING_UNKNOWN)
+    estimator = PaperFilter(Setting(config, TorsionalRheometer(0.01, 0.005), noise_sd))
+    estimator.touch(Touch(noise_sd, 0.0, np.zeros((3, 0))), 0.0)
+    twists = np.interp(times, knots, strains)
+    for own in np.arange(times.size).reshape(-1, SIZE):
+        samples = (values[own].tolist() for values in (times, twists, stresses))
+        estimate = estimator.add(*samples, [True] * SIZE)
+    assert estimate.converged and np.abs(off(estimate, (500.0, 8.0, 0.15))).max() < 3.0
 
 
 GIVEN_ALPHA = EXACT | {"prior.alpha": 0.131, "prior.alpha_sd": 0.0}

@@ -356,7 +356,8 @@ class PaperFilter(Estimator):
         low, high = [LOWEST_ORDER, -math.inf, self._start], [HIGHEST_ORDER, math.inf, math.inf]
         is_possible = ((grid.theta >= low) & (grid.theta <= high)).all(axis=1)
         self._log_prior = np.where(is_possible, -0.5 * (off**2).sum(axis=1), -math.inf)
-        grid.begin(self._start)
+        if math.isfinite(self._start):  # else from rest, without a load
+            grid.begin(self._start)
         for block in self._blocks:
             grid.add(block)
         self._weighed = self._weigh()
