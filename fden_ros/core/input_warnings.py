@@ -45,17 +45,13 @@ class Direction:
         block.append(pair)
 
     @property
-    def is_right(self) -> bool:
-        """Whether the signs are right: the force grows with the displacement."""
-        return self._force > 0.0 and self._together >= 0.0
-
-    @property
     def cause(self) -> str:
-        """The likeliest cause of a force that falls below its value in the air."""
-        if self.is_right:
-            return "touch"
+        """The likeliest cause of a force that falls below its value in the air.
+
+        A touch, if the signs are right: the force grows with the displacement.
+        """
         if self._force > 0.0:
-            return "displacement sign"
+            return "touch" if self._together >= 0.0 else "displacement sign"
         return "both signs" if self._together > 0.0 else "force sign"
 
 

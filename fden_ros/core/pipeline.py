@@ -148,7 +148,7 @@ class Pipeline:
 
         With the right signs it did so where a touch was not observed.
         """
-        return self._session.air_events[0] > 0 and not self._direction.is_right
+        return self._session.air_events[0] > 0 and self._direction.cause != "touch"
 
     # Inputs
 

@@ -24,11 +24,6 @@ class Parameter(Described):
     default: Value
 
     @property
-    def group(self) -> str:
-        """What stands before the dot of its name."""
-        return self.name.partition(".")[0]
-
-    @property
     def type_name(self) -> str:
         """Name of the type, as a user would say it."""
         names = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}

@@ -199,9 +199,11 @@ def _plain(value: Any) -> Value:
 
 def _described(settings: Any) -> tuple[Parameter, ...]:
     """Return the parameters with each group together, where its first one stands."""
-    found = [Parameter(default=_plain(v), **vars(own)) for own, v in _leaves(settings)]
-    groups = list(dict.fromkeys(one.group for one in found))
-    return tuple(sorted(found, key=lambda one: groups.index(one.group)))
+    groups: dict[str, list[Parameter]] = {}
+    for own, value in _leaves(settings):
+        group = groups.setdefault(own.name.partition(".")[0], [])
+        group.append(Parameter(default=_plain(value), **vars(own)))
+    return tuple(one for group in groups.values() for one in group)
 
 
 PARAMETERS = _described(Parameters())
