@@ -225,9 +225,10 @@ def tempered(log: Array, least: float) -> tuple[Array, float]:
         found = np.exp(beta * (log - log.max()))
         return np.asarray(found / found.sum())
 
+    whole = weights(1.0)
+    if 1.0 / float(whole @ whole) >= least:
+        return whole, 1.0
     low, high = 0.0, 1.0
-    if 1.0 / np.sum(weights(1.0) ** 2) >= least:
-        return weights(1.0), 1.0
     for _ in range(20):
         beta = 0.5 * (low + high)
         low, high = (beta, high) if 1.0 / np.sum(weights(beta) ** 2) >= least else (low, beta)

@@ -379,7 +379,7 @@ class PlacePosterior:
     def ask_rival(self) -> None:
         """Find the probability of a plateau at the end of the press."""
         if self.filter is not None:
-            self._rival.end(self.filter)
+            self._rival.end(self.filter, self.elapsed)
 
     def _forget(self) -> None:
         """Keep of the oldest press what the tissue remembers."""

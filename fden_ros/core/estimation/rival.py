@@ -14,8 +14,8 @@ from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import Grid, begun, laid, log_evidence_of, prior_of_log_g
 from fden_ros.core.estimation.law import Plateau
 
-#: It is asked for anew where the time of the press has grown by this factor [1].
-_GROWTH = 2.0
+#: It is asked for anew where the time of the press has grown by this factor, and at its end [1].
+_GROWTH, _GROWTH_END = 2.0, 1.25
 #: Rounds of a question [1].
 _ROUNDS = 8
 
@@ -76,9 +76,10 @@ class Rival:
         if self._grid.is_settled:
             self.probability = _probability(state.grid, self._grid)
 
-    def end(self, state: Filter) -> None:
-        """Lay all rounds, at the end of a press."""
-        if not self._can_tell:
+    def end(self, state: Filter, elapsed: float) -> None:
+        """Lay all rounds, at the end of a press after this time [s]."""
+        is_settled = self._grid is not None and self._grid.is_settled
+        if not self._can_tell or (is_settled and elapsed < _GROWTH_END * self._asked_at):
             return
         # One at least: the record is longer than that of the round before.
         self._rounds, is_settled = 0, False
