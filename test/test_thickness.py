@@ -101,7 +101,7 @@ def test_replay_finds_g_under_a_sphere_whose_layer_is_stated_and_else_says_what_
     assert unstated["g"] is None or unstated["g"] > 1.3 * STIFFNESS
     (words,) = unstated["warnings"]
     assert words.startswith("geometry.thickness is not stated, so the tissue counts as thick")
-    reached = re.search(r"the (\S+) mm reached", words)
+    reached = re.search(r"the (\S+) mm that was reached", words)
     assert reached and float(reached[1]) == pytest.approx(1.5, rel=0.25)
 
 

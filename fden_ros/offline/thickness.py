@@ -43,13 +43,13 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
     words = (
         "geometry.thickness is not stated, so the tissue counts as thick. On a rigid base this "
         f"is right to {100.0 * (_GOOD - 1.0):.0f} % up to an indentation of {ratio:.2g} h^2/R, "
-        f"{quantity(ratio * shown**2 / sphere.radius, 'm')} where it is h = "
-        f"{quantity(shown, 'm')} thick"
+        f"which is {quantity(ratio * shown**2 / sphere.radius, 'm')} for a thickness h of "
+        f"{quantity(shown, 'm')}"
     )
     if deepest <= 0.0:
         return words
     least = quantity(math.sqrt(sphere.radius * deepest / ratio), "m")
-    words += f"; the {quantity(deepest, 'm')} reached take {least}, and at "
+    words += f"; the {quantity(deepest, 'm')} that was reached needs {least}, and at "
     return words + _around(shown, lambda h: _raised(replace(sphere, thickness=h), deepest))
 
 
@@ -60,8 +60,8 @@ def _of_face(punch: FlatPunch) -> str:
 
     return (
         "the face is wider than the tissue is thick and geometry.hayes is false, so G is that of "
-        "a column with free sides. Of a layer that continues around the face, at "
-        f"{_around(punch.thickness, raised)}; then set geometry.hayes"
+        "a column with free sides. If the tissue is a layer that continues around the face, set "
+        f"geometry.hayes: without it, at {_around(punch.thickness, raised)}"
     )
 
 
@@ -74,5 +74,5 @@ def _raised(layer: Sphere, depth: float) -> float:
 def _around(thickness: float, factor: Callable[[float], float]) -> str:
     change = min(_CHANGE, _PART * thickness)
     here, more, less = (f"{factor(thickness + by):.2g}" for by in (0.0, change, -change))
-    times = f"{here} times too large ({more} with {quantity(change, 'm')} more"
-    return f"{quantity(thickness, 'm')} G comes out {times}, {less} with as much less)"
+    times = f"{here} times too large ({more} if it is {quantity(change, 'm')} thicker"
+    return f"{quantity(thickness, 'm')} G comes out {times}, {less} if it is as much thinner)"
