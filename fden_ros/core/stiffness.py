@@ -84,7 +84,7 @@ class _Run:
 
     def __init__(self, sign: float, start: float, stamp_ns: int, length: float) -> None:
         self.sign, self.start, self.length, self.start_ns = sign, start, length, stamp_ns
-        self.width = self.duration = self.due_width = 0.0
+        self.width, self.duration, self.due_width = 0.0, 0.0, length
         self.levels: list[deque[Array]] = [deque()]
         self._open(0.0, stamp_ns)
 
@@ -92,28 +92,27 @@ class _Run:
         self.open_way, self._open_ns = way, stamp_ns
         self._sums, self._count = np.zeros(4), 0
 
-    def add(self, stamp_ns: int, way: float, force: float) -> bool:
-        """Add a sample; return whether a piece has been closed."""
+    def add(self, stamp_ns: int, way: float, force: float) -> None:
+        """Add a sample."""
         self._sums += (way, way * way, way**3, self.sign * force)
         self._count += 1
         width = self.length * math.floor((way - self.open_way) / self.length)
         if width <= 0.0:
-            return False
+            return
         duration = (stamp_ns - self._open_ns) / NANOSECONDS
         time = (stamp_ns - self.start_ns) / NANOSECONDS - 0.5 * duration
         piece = np.array([width, duration, time, *self._sums / self._count, 1.0 / self._count])
         is_first = self.open_way == 0.0  # it may hold the rest, or the turn, from before
         self._open(self.open_way + width, stamp_ns)
         if is_first:
-            return False
+            return
         self.width, self.duration = self.width + width, self.duration + duration
         for level in self.levels:
             level.append(piece)
             if len(level) <= _PER_LEVEL:
-                return True
+                return
             piece = _joined(level.popleft(), level.popleft())
         self.levels.append(deque([piece]))
-        return True
 
     def rests(self, stamp_ns: int) -> bool:
         """Whether the present piece takes so long that the probe is at rest."""
@@ -146,11 +145,10 @@ class _Window(NamedTuple):
     sd: float  #: [N/m]
     way: float  #: of the slope's place [m]
     width: float  #: [m]
-    is_known: bool
 
 
-def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window]:
-    """Return the slopes at the end of a window on a `side` (1, -1), and in its middle."""
+def _window(columns: Array, place: float, noise: float) -> _Window | None:
+    """Return the slope at an end of a window, 1 or -1, or in its middle, 0; None: not known."""
     weights, _, _, ways, squares, cubes, forces, variances = columns
     width = float(weights.sum())
     half, middle = 0.5 * width, float(weights @ ways) / width
@@ -162,18 +160,13 @@ def _window(columns: Array, side: float, noise: float) -> tuple[_Window, _Window
     cubic, variance = _fitted(columns, design)
     variance = max(variance, noise**2)
     student = float(stdtrit(len(forces) - 4, 0.975)) / 1.959964  # of the normal distribution
-
-    def at(place: float) -> _Window:
-        gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
-        line = gradient[:3] @ parabola
-        bend = line - gradient @ cubic
-        own = student**2 * variance * float((line**2 + bend**2) @ variances)
-        sd = math.sqrt(own + float(bend @ forces) ** 2)
-        slope = float(line @ forces)
-        is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
-        return _Window(slope, sd, middle + place * half, width, is_known)
-
-    return at(side), at(0.0)
+    gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
+    line = gradient[:3] @ parabola
+    bend = line - gradient @ cubic
+    own = student**2 * variance * float((line**2 + bend**2) @ variances)
+    sd, slope = math.sqrt(own + float(bend @ forces) ** 2), float(line @ forces)
+    is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
+    return _Window(slope, sd, middle + place * half, width) if is_known else None
 
 
 def _fitted(columns: Array, design: Array) -> tuple[Array, float]:
@@ -223,19 +216,22 @@ def _is_saturated(columns: Array, change: float) -> bool:
 
 def _best(columns: Array, side: float, least_change: float, noise: float) -> _Window | None:
     """Return the slope at the end from which the columns begin; None: it is not known."""
-    widths, count, last = np.cumsum(columns[0]), _PIECES, columns.shape[1]
-    found: tuple[list[_Window], list[_Window]] = ([], [])
-    while count <= last:
-        change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
-        if count == last or change >= max(least_change, _CLEAR * noise):
-            windows = _window(columns[:, :count], side, noise)
-            if windows[0].is_known and windows[0].sd <= _FINE * windows[0].slope:
-                return windows[0]
-            for kept, one in zip(found, windows, strict=True):
-                kept += [one] * one.is_known
-        wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
-        count = last if count < last < wider else max(wider, count + 1)
-    return min(found[0] or found[1], key=lambda one: one.sd, default=None)
+    widths, last = np.cumsum(columns[0]), columns.shape[1]
+    for place in (side, 0.0):
+        found, count = [], _PIECES
+        while count <= last:
+            change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
+            is_wide = count == last or change >= max(least_change, _CLEAR * noise)
+            one = _window(columns[:, :count], place, noise) if is_wide else None
+            if one is not None:
+                found.append(one)
+                if place and one.sd <= _FINE * one.slope:
+                    return one
+            wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
+            count = last if count < last < wider else max(wider, count + 1)
+        if found:
+            return min(found, key=lambda one: one.sd)
+    return None
 
 
 class MeasuredSlopes:
@@ -295,11 +291,12 @@ class MeasuredSlopes:
         run = self._run = self._run or _Run(1.0, place, stamp_ns, length)
         way = run.sign * (place - run.start)
         has_turned = way < run.open_way - run.length
-        has_grown = not has_turned and run.add(stamp_ns, way, pair.force)
+        if not has_turned:
+            run.add(stamp_ns, way, pair.force)
         if has_turned or run.rests(stamp_ns):
             self._finish()
             self._run = _Run(-run.sign if has_turned else run.sign, place, stamp_ns, length)
-        elif has_grown and run.width >= run.due_width:
+        elif run.width >= run.due_width:
             self._measure(run)
 
     def assign(self, contact_id: int, *, in_contact: bool, surface: float, bias: float) -> None:
@@ -356,13 +353,9 @@ class MeasuredSlopes:
         before = self._newest.unloading
         if run.sign > 0.0:
             self._newest = self._newest._replace(loading=slope)
-        elif (
-            before is None
-            or before.stamp_ns < run.start_ns
-            or (
-                # A wider window counts while it agrees with the narrower ones.
-                slope.sd < before.sd and abs(slope.value - before.value) < before.sd
-            )
-        ):
+        elif before is None or before.stamp_ns < run.start_ns:
+            self._newest = self._newest._replace(unloading=slope)
+        elif slope.sd < before.sd and abs(slope.value - before.value) < before.sd:
+            # A wider window counts while it agrees with the narrower ones.
             self._newest = self._newest._replace(unloading=slope)
         return change
