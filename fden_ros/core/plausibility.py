@@ -245,7 +245,7 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
 
     `limit` is that of its magnitude [N, m].
     """
-    if guard.too_large > max(USUAL_SAMPLES, guard.accepted):
+    if guard.too_large > max(USUAL_SAMPLES, guard.usual.count):
         units = _FORCES if name == "force" else _LENGTHS
         unit = "N" if name == "force" else "m"
         words = " or ".join(f"{u} (factor {units[u]:.3g})" for u in list(units)[:2])
@@ -253,10 +253,11 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
             f"most samples of the {name} are beyond {name}.limit ({limit:g} {unit}), up to "
             f"{written(guard.largest, 3)}: is it in {words}, not {unit}?"
         )
-    if 2 * guard.too_close > max(USUAL_SAMPLES, guard.accepted):
+    if 2 * guard.too_close > max(USUAL_SAMPLES, guard.usual.count):
         return too_fast(guard.close_step)
-    if guard.accepted > USUAL_SAMPLES and guard.usual_step < _FASTEST_STEP:
-        return too_fast(guard.usual_step)
+    usual_step = guard.usual.value_ns / NANOSECONDS
+    if guard.usual.is_known and usual_step < _FASTEST_STEP:
+        return too_fast(usual_step)
     return ""
 
 

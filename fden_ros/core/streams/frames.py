@@ -27,15 +27,9 @@ from fden_ros.core.streams.tool import ToolWeight
 
 @dataclass(frozen=True)
 class FramesConfig:
-    """Which frames are needed, and for what.
+    """Which frames are needed, and for what."""
 
-    Parameters
-    ----------
-    force_axis, displacement_axis : Vector
-        Unit vectors in `base`.
-    """
-
-    base: str  #: frame in which the axes are given
+    base: str  #: frame in which the axes are given, as unit vectors
     probe: str  #: frame of the probe's tip; also of forces that name no frame
     force_axis: Vector
     displacement_axis: Vector

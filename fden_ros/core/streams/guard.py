@@ -139,22 +139,12 @@ class StreamGuard:
         self._newest: Sample | None = None
         self._held: Sample | None = None
         self._late_run = self._late_newest_ns = 0
-        self._usual = UsualStep()
+        self.usual = UsualStep()  #: between accepted stamps
         self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: number of those samples
         self.too_close = 0  #: samples within 10 us of the last that are not copies of it
         self.close_step = 0.0  #: of the newest of these [s]
-
-    @property
-    def accepted(self) -> int:
-        """How many steps between stamps were accepted."""
-        return self._usual.count
-
-    @property
-    def usual_step(self) -> float:
-        """Usual step between accepted stamps [s]."""
-        return self._usual.value_ns / NANOSECONDS
 
     def reject(self, reason: str) -> None:
         """Count one rejected sample."""
@@ -191,7 +181,7 @@ class StreamGuard:
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return []
-        usual_ns = self._usual.value_ns
+        usual_ns = self.usual.value_ns
         sample = Sample(self.epoch, stamp_ns, value, position, load, usual_ns, turn)
         in_time = self._in_order(sample) if self._held is None else self._after_held(sample)
         return [one for sample in in_time for one in self._values.judge(sample)]
@@ -200,7 +190,7 @@ class StreamGuard:
         for sample in samples:
             # A sample that begins an epoch has no step.
             if self._newest is not None and self._newest.epoch == sample.epoch:
-                self._usual.add(float(sample.stamp_ns - self._newest.stamp_ns))
+                self.usual.add(float(sample.stamp_ns - self._newest.stamp_ns))
             self._newest = sample
         self._late_run = 0
         return samples
@@ -210,7 +200,7 @@ class StreamGuard:
             return self._take(sample)
         step = sample.stamp_ns - self._newest.stamp_ns
         # Accepted at once, a stray stamp a little ahead would make all later ones late.
-        far = max(_FAR * self._usual.value_ns, 0 if self._usual.is_known else NANOSECONDS)
+        far = max(_FAR * self.usual.value_ns, 0 if self.usual.is_known else NANOSECONDS)
         if MIN_STEP_NS <= step <= far:
             return self._take(sample)
         if step > far or step < -BRIEF_NS:
@@ -235,7 +225,7 @@ class StreamGuard:
         assert held is not None and self._newest is not None
         newest_ns = self._newest.stamp_ns
         is_ahead = held.stamp_ns > newest_ns
-        far = max(NANOSECONDS, _FAR * max(self._usual.value_ns, held.stamp_ns - newest_ns))
+        far = max(NANOSECONDS, _FAR * max(self.usual.value_ns, held.stamp_ns - newest_ns))
         # What goes on from the newest sample, and not from one far behind it, is no jump back.
         goes_on = is_ahead or sample.stamp_ns < newest_ns
         if goes_on and MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far:

@@ -32,22 +32,24 @@ class Around(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Value at the instant, linear in between."""
-        return self.before.value + self.fraction * (self.after.value - self.before.value)
+        """Value at the instant."""
+        return self._between(self.before.value, self.after.value)
 
     @property
     def load(self) -> float:
-        """Load at the instant, linear in between."""
-        return self.before.load + self.fraction * (self.after.load - self.before.load)
+        """Load at the instant."""
+        return self._between(self.before.load, self.after.load)
 
     @property
     def position(self) -> Position | None:
-        """Position at the instant, linear in between; None where one of the two is not known."""
-        before, after, fraction = self.before.position, self.after.position, self.fraction
-        if before is None or after is None:
+        """Position at the instant; None where one of the two is not known."""
+        if self.before.position is None or self.after.position is None:
             return None
-        (x0, y0, z0), (x1, y1, z1) = before, after
-        return x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0), z0 + fraction * (z1 - z0)
+        x, y, z = map(self._between, self.before.position, self.after.position)
+        return x, y, z
+
+    def _between(self, before: float, after: float) -> float:
+        return before + self.fraction * (after - before)
 
     @property
     def transform(self) -> Transform:
