@@ -10,7 +10,7 @@ DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177), where a shar
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -19,8 +19,7 @@ from fden_ros.core.classification.classifier import ClassProbabilities, Likeliho
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import LogStiffness, log_stiffness
 
-#: Fewer places are no surroundings. Strain of the comparison [1]. A place is stiffer, or softer,
-#: by this ratio [1].
+#: Fewer places are no surroundings; strain of the comparison, and ratio of the stiffer [1].
 LEAST_SURROUNDINGS, _STRAIN, _RATIO = 4, 0.1, 1.5
 #: Share of the surroundings that is something else: initial and least, and most; its spread in l.
 _FOREIGN_RANGE, _FOREIGN_SD = (0.02, 0.4), 0.8
@@ -28,8 +27,7 @@ _FOREIGN_RANGE, _FOREIGN_SD = (0.02, 0.4), 0.8
 _LEAST_SD, _ITERATIONS = 0.02, 30
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """ln of how many times stiffer a place is than its surroundings."""
 
     log_ratio: float
@@ -51,10 +49,9 @@ class Comparison:
     def classes(self) -> ClassProbabilities:
         """The probabilities of being softer, alike and stiffer."""
         limits = (np.log([1.0 / _RATIO, _RATIO]) - self.log_ratio) / self.log_ratio_sd
-        below, above = stdtr(self.degrees_of_freedom, limits)
-        probabilities = (float(below), float(above - below), float(1.0 - above))
+        shares = np.diff([0.0, *stdtr(self.degrees_of_freedom, limits), 1.0])
         names = ("softer", "alike", "stiffer")
-        return ClassProbabilities(names[int(np.argmax(probabilities))], names, probabilities)
+        return ClassProbabilities(names[int(shares.argmax())], names, tuple(shares.tolist()))
 
 
 def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
@@ -87,15 +84,13 @@ class Surroundings:
     def __init__(self, time_scale: float) -> None:
         self._time_scale, self._sites = time_scale, dict[int, LogStiffness]()
 
-    def compared(
-        self, site_id: int, estimate: Estimate, likelihood: Likelihood
-    ) -> Comparison | None:
+    def compared(self, site_id: int, estimate: Estimate, data: Likelihood) -> Comparison | None:
         """Compare a site with the others, and keep it; None: there are too few of them."""
         mean, covariance = estimate.mean, estimate.covariance
         # With the prior, for a direction that is not observed.
-        if float(np.linalg.eigvalsh(likelihood.information).min()) > 0.0:
-            covariance = np.linalg.inv(likelihood.information).astype(np.float64)
-            mean = likelihood.centre + covariance @ likelihood.score
+        if float(np.linalg.eigvalsh(data.information).min()) > 0.0:
+            covariance = np.linalg.inv(data.information).astype(np.float64)
+            mean = data.centre + covariance @ data.score
         place = log_stiffness(mean, covariance, _STRAIN, self._time_scale)
         others = [(o.value, o.variance) for k, o in self._sites.items() if k != site_id]
         self._sites[site_id] = place
