@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from core_helpers import stress_over_g
 from property_helpers import counts, first
+from scipy.signal import lfilter
 
 from benchmark.trial import feed
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
+from fden_ros.core.contact.air import filter_time
 from fden_ros.core.contact.surface import find_surface
 from fden_ros.core.streams import Pair, SynchronizeConfig, Synchronizer
 from simulation.scenario import Tissue, ramp_scenario
@@ -294,3 +296,25 @@ def test_inertia_of_a_mass_beyond_the_sensor_is_found_in_the_air(seeds):
         detector, events = detected(impact(seed, 0.0))
         (onset,) = (event for event in events.values() if isinstance(event, Onset))
         assert detector.inertial == 0 and onset.seen
+
+
+@pytest.mark.parametrize(
+    ("rate", "cutoff"), [(100, 3), (100, 5), (500, 10), (1000, 3), (1000, 20)]
+)
+def test_noise_in_the_air_shows_the_time_of_a_filter(rate, cutoff):
+    rng = np.random.default_rng(3)
+    times, share = np.arange(10 * rate) / rate, -np.expm1(-2.0 * np.pi * cutoff / rate)
+    noise = lfilter([share], [1.0, share - 1.0], rng.standard_normal(times.size))
+    noise += 0.1 * noise.std() * rng.standard_normal(times.size)  # behind the filter
+    own, true = times >= 5.0, 1.0 / (2.0 * np.pi * cutoff)
+    assert filter_time(times[own], noise[own], 0.0) == pytest.approx(true, rel=0.4)
+
+
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_white_noise_drift_and_rounding_are_no_filter(rate):
+    rng = np.random.default_rng(4)
+    times = np.arange(3 * rate) / rate
+    white = rng.standard_normal(times.size)
+    walk = np.cumsum(rng.standard_normal(times.size)) / np.sqrt(rate)
+    for forces in (white, white + walk, white + 5.0 * times, np.round(0.2 * white + times)):
+        assert filter_time(times, forces, 1.0 if forces is not white else 0.0) == 0.0

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from core_helpers import off, states_of
 from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
 from property_helpers import counts, first
+from scipy.signal import lfilter
+from scipy.special import gamma
 
 from benchmark.presses import CASES, trial_of
+from fden_ros import fit
 from fden_ros.core.outputs import ContactSummary, Flag, Status
 from simulation.scenario import (
     DisplacementSensor,
@@ -68,6 +72,21 @@ def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good
             assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
             claimed += 1
     assert not stated or claimed >= 0.6 * numbers
+
+
+def test_a_filter_of_the_force_shows_in_its_noise_and_counts_as_a_delay():
+    path = Path(__file__).parent.parent / "examples" / "press.csv"
+    time, force, depth = np.loadtxt(path, delimiter=",", skiprows=1).T[:, :1150]
+    noise = 2e-3 * np.random.default_rng(1).standard_normal(time.size)
+    share = -np.expm1(-2.0 * np.pi * 5.0 * np.diff(time).mean())  # 5 Hz
+    force = lfilter([share], [1.0, share - 1.0], force + noise)
+    probe = {"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}
+    found = fit(time, force, 1e-3 * depth, geometry=probe)
+    assert any("noise in the air is smooth" in words for words in found.warnings)
+    (contact,) = found.contacts
+    assert "RIG_PRIOR_CONFLICT" in contact.flags
+    true = 450.0 * np.exp(9.0 * 0.3 - 1.0) * 0.1**-0.131 / gamma(1.0 - 0.131) * 3.14e-4 / 0.02
+    assert abs(contact.stiffness.value - true) < 3.0 * contact.stiffness.sd
 
 
 # Contacts judged by the air after them

@@ -68,8 +68,10 @@ class ContactSession:
         """
         self._sites.forget()
         self._contact: Contact | None = None  # the newest
-        #: Place of the newest contact [m], not a number where none was seen, and force's bias [N].
-        self.surface = math.nan, 0.0
+        #: Place of the newest contact [m], not a number where none was seen.
+        self.surface = math.nan
+        #: Of the force at its touch: bias and noise [N], and the time of a filter [s].
+        self.air = 0.0, 0.0, 0.0
         self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
@@ -110,8 +112,14 @@ class ContactSession:
             f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "
             "beyond the sensor (press slower)"
         )
+        smooth = (
+            f"the force's noise in the air is smooth over some {1e3 * detector.filter_time:.2g} "
+            "ms, as behind a filter, which delays the force (measure the delay with fden "
+            "configure and state displacement.delay, or lessen the filter)"
+        )
         return {
             inertia: detector.inertial,
+            smooth: detector.filters,
             **self._common.plausibility.found,
             self._tilt.words: self._tilt.count,
             strokes.warning: 1,
@@ -174,8 +182,11 @@ class ContactSession:
         before, stamp_ns = self._sites.present, newest.stamp_ns
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
+        late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
+        onset = onset._replace(filter_time=max(late, 0.0))
         self._tilt.see(newest.tilt)
-        self.surface = (onset.displacement if onset.seen else math.nan), onset.bias
+        self.surface = onset.displacement if onset.seen else math.nan
+        self.air = onset.bias, onset.noise_sd, onset.filter_time
         site = self._sites.of(onset, self._detector.left_unseen_ns)
         site.check_history(onset)
         self.contact_count += 1

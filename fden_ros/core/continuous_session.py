@@ -114,7 +114,8 @@ class ContinuousSession:
     #: No touch is detected.
     in_contact = never_lifts = False
     air_events = (0, 0, False)
-    surface = (math.nan, 0.0)
+    surface = math.nan
+    air = 0.0, 0.0, 0.0
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected

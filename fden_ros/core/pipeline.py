@@ -289,9 +289,8 @@ class Pipeline:
             session = self._session
             if self._measured.is_saturated and session.in_contact:
                 session.withdraw(Flag.SATURATED)
-            surface, bias = session.surface
             self._measured.assign(
-                session.contact_count, in_contact=session.in_contact, surface=surface, bias=bias
+                session.contact_count, session.air, session.surface, in_contact=session.in_contact
             )
         except Exception as error:
             self._fail(pair.stamp_ns, error)

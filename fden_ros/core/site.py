@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -151,9 +152,11 @@ class Site(Standing):
         scale = config.geometry.stress_per_force
         is_first = first.stamp_ns == self.start_ns
         self._lift_off = LiftOff(onset, scale, is_first=is_first)
+        if onset.filter_time > _CONTRADICTION * config.estimator.uncertainty.delay_sd > 0.0:
+            self.doubt(Flag.RIG_PRIOR_CONFLICT)
         if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd
-            new = _new_estimator(config, noise_sd, origin_sd, noise)
+            new = _new_estimator(_filtered(config, onset), noise_sd, origin_sd, noise)
             if before is not None and before.is_elsewhere(onset) is None:
                 before.may_go_on_as(new, onset, self)
             self._estimator = new
@@ -311,6 +314,15 @@ def prepare(config: PipelineConfig) -> None:
 def dips(duration_ns: int) -> bool:
     """Whether a probe that was off the tissue for this time may only have lifted off briefly."""
     return duration_ns < BRIEF_NS
+
+
+def _filtered(config: PipelineConfig, onset: Onset) -> PipelineConfig:
+    """Return a configuration whose delay is as uncertain as a filter of the force makes it."""
+    if not onset.filter_time:
+        return config
+    unsure = config.estimator.uncertainty
+    unsure = replace(unsure, delay_sd=math.hypot(unsure.delay_sd, onset.filter_time))
+    return replace(config, estimator=replace(config.estimator, uncertainty=unsure))
 
 
 def _new_estimator(

@@ -45,6 +45,9 @@ _MOST_CORRELATED = 0.8
 #: Relative standard error from which on a window is wide enough; the window's change of force is
 #: clear from 3 deviations of the noise on.
 _FINE, _CLEAR = 0.02, 3.0
+#: From these deviations of its noise on, what a cubic changes counts in all wider windows, where
+#: it may vanish by chance.
+_CLEAR_BIAS = 2.0
 #: Loading ends where the probe slows down to this part of the speed at which the force rose.
 _SLOW = 0.5
 #: Standard deviation of white noise over the mean magnitude of its third differences.
@@ -145,10 +148,17 @@ class _Window(NamedTuple):
     sd: float  #: [N/m]
     way: float  #: of the slope's place [m]
     width: float  #: [m]
+    curve: float  #: change of the slope with the way [N/m^2]
+    bias: float  #: clear change of the slope by a cubic, here or in a narrower window [N/m]
+    is_known: bool
 
 
-def _window(columns: Array, place: float, noise: float) -> _Window | None:
-    """Return the slope at an end of a window, 1 or -1, or in its middle, 0; None: not known."""
+def _window(columns: Array, place: float, noise: tuple[float, float], bias: float) -> _Window:
+    """Return the slope at an end of a window, 1 or -1, or in its middle, 0.
+
+    `noise` is the least of a sample, and that which means over a longer time show [N]; `bias`
+    that of the narrower windows.
+    """
     weights, _, _, ways, squares, cubes, forces, variances = columns
     width = float(weights.sum())
     half, middle = 0.5 * width, float(weights @ ways) / width
@@ -158,15 +168,20 @@ def _window(columns: Array, place: float, noise: float) -> _Window | None:
     design = np.stack([np.ones_like(ways), (ways - middle) / half, second, third], axis=1)
     parabola, _ = _fitted(columns, design[:, :3])
     cubic, variance = _fitted(columns, design)
-    variance = max(variance, noise**2)
+    variance = max(variance, noise[0] ** 2)
+    slow = max(variance, noise[1] ** 2)
+    curve = 2.0 * float(parabola[2] @ forces) / half**2
     student = float(stdtrit(len(forces) - 4, 0.975)) / 1.959964  # of the normal distribution
     gradient = np.array([0.0, 1.0, 2.0 * place, 3.0 * place**2]) / half
     line = gradient[:3] @ parabola
     bend = line - gradient @ cubic
-    own = student**2 * variance * float((line**2 + bend**2) @ variances)
-    sd, slope = math.sqrt(own + float(bend @ forces) ** 2), float(line @ forces)
+    own, unsure = (student**2 * slow * float(one**2 @ variances) for one in (line, bend))
+    change, slope = abs(float(bend @ forces)), float(line @ forces)
+    if change**2 > _CLEAR_BIAS**2 * unsure:
+        bias = max(bias, change)
+    sd = math.sqrt(own + unsure + max(bias, change) ** 2)
     is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
-    return _Window(slope, sd, middle + place * half, width) if is_known else None
+    return _Window(slope, sd, middle + place * half, width, curve, bias, is_known)
 
 
 def _fitted(columns: Array, design: Array) -> tuple[Array, float]:
@@ -214,18 +229,21 @@ def _is_saturated(columns: Array, change: float) -> bool:
     return False
 
 
-def _best(columns: Array, side: float, least_change: float, noise: float) -> _Window | None:
+def _best(
+    columns: Array, side: float, least_change: float, noise: tuple[float, float]
+) -> _Window | None:
     """Return the slope at the end from which the columns begin; None: it is not known."""
     widths, last = np.cumsum(columns[0]), columns.shape[1]
     for place in (side, 0.0):
-        found, count = [], _PIECES
+        found, count, bias = [], _PIECES, 0.0
         while count <= last:
             change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
-            is_wide = count == last or change >= max(least_change, _CLEAR * noise)
-            one = _window(columns[:, :count], place, noise) if is_wide else None
-            if one is not None:
-                found.append(one)
-                if place and one.sd <= _FINE * one.slope:
+            is_wide = count == last or change >= max(least_change, _CLEAR * noise[0])
+            if is_wide:
+                one = _window(columns[:, :count], place, noise, bias)
+                bias = one.bias
+                found += [one] * one.is_known
+                if place and one.is_known and one.sd <= _FINE * one.slope:
                     return one
             wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
             count = last if count < last < wider else max(wider, count + 1)
@@ -243,8 +261,11 @@ class MeasuredSlopes:
     def __init__(self, config: PipelineConfig) -> None:
         self._contact, self._is_continuous = config.contact, config.is_continuous
         self._noise = max(config.contact.force_noise, config.contact.noise_floor)
+        self._stated_delay_sd = config.estimator.uncertainty.delay_sd
         self._least_piece = _LEAST_PIECE * config.geometry.length
         self._unseen, self._surface, self._was_in_contact = NOT_MEASURED, math.nan, False
+        self._slow_noise = 0.0  # of the force per sample, as means over a longer time show it [N]
+        self._delay_sd = self._stated_delay_sd  # [s]
         #: Of three contacts, as the summary of one may come in the next: slopes and surface [m].
         self._found: dict[int, tuple[Slopes, float]] = {}
         self.forget()
@@ -299,11 +320,16 @@ class MeasuredSlopes:
         elif run.width >= run.due_width:
             self._measure(run)
 
-    def assign(self, contact_id: int, *, in_contact: bool, surface: float, bias: float) -> None:
+    def assign(
+        self, contact_id: int, air: tuple[float, float, float], surface: float, *, in_contact: bool
+    ) -> None:
         """Assign the results after a sample to the contact of that sample.
 
-        `surface` of the contact [m], NaN where it was not seen, and `bias` of the force.
+        `air` is bias and noise of the force [N], and the time of a filter [s]; `surface` that of
+        the contact [m], NaN where it was not seen.
         """
+        bias, self._slow_noise, late = air
+        self._delay_sd = math.hypot(self._stated_delay_sd, late)
         self._surface = surface - self._contact.series_compliance * bias
         if in_contact or self._is_continuous:
             kept = self._found.pop(contact_id, (NOT_MEASURED, 0.0))[0]
@@ -340,7 +366,8 @@ class MeasuredSlopes:
         # The relaxation left by a creeping probe in one direction is no loading.
         left = _QUARTER * self._change if run.sign == self._sign else 0.0
         least = max(SMALL * change, left)
-        found = _best(columns, run.sign, least, self._noise) if change >= least else None
+        noise = self._noise, self._slow_noise
+        found = _best(columns, run.sign, least, noise) if change >= least else None
         if found is None:
             return change
         run.due_width = run.width + found.width / _PIECES
@@ -349,7 +376,10 @@ class MeasuredSlopes:
         elapsed = np.interp(way, np.cumsum(columns[0]), np.cumsum(columns[1]), left=0.0)
         time = first[2] + run.sign * (0.5 * first[1] - elapsed)
         stamp_ns = run.start_ns + round(float(time) * NANOSECONDS)
-        slope = MeasuredSlope(found.slope, found.sd, run.start + run.sign * found.way, stamp_ns)
+        # Force and place are of times that differ by the delay.
+        speed = float(columns[0].sum()) / max(float(columns[1].sum()), 1.0 / NANOSECONDS)
+        sd = math.hypot(found.sd, found.curve * speed * self._delay_sd)
+        slope = MeasuredSlope(found.slope, sd, run.start + run.sign * found.way, stamp_ns)
         before = self._newest.unloading
         if run.sign > 0.0:
             self._newest = self._newest._replace(loading=slope)

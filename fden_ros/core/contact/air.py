@@ -13,6 +13,7 @@ the threshold is the mean that air exceeds with a probability of 5e-6, by Studen
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -110,6 +111,56 @@ _SWING_FACTOR = 2.2
 #: Noise below this part of a step of the force, that of its rounding included, does not whiten the
 #: rounding error.
 _DITHER = 0.6
+
+
+#: The noise of a force is compared over times up to this [s], among at least this number of
+#: samples. It has a filter's time where its changes over L to 2 L are at most this times those
+#: over L / 2 to L, and more than this share of it is not white.
+_LONGEST, _LEAST_COUNT, _SATURATED, _SMOOTH = 1.0, 64, 1.25, 0.5
+
+
+def filter_time(times: Array, forces: Array, step: float) -> float:
+    """Return the time constant of a filter that the noise in the air shows [s]; 0: none.
+
+    Noise is white at its source. Behind a filter of first order its correlation falls as exp of
+    the time over this constant, by which the filter also delays the force. A drift, whose changes
+    go on growing, is none.
+
+    Parameters
+    ----------
+    times, forces : ndarray, shape (n,)
+        Without contact [s], [N].
+    step : float
+        The force's resolution [N]: rounding hides smaller noise.
+    """
+    count = times.size
+    if count < _LEAST_COUNT:
+        return 0.0
+    period = float(times[-1] - times[0]) / (count - 1)
+    most = min(count // 4, round(_LONGEST / period))
+    if most < _LEAST_COUNT // 8:
+        return 0.0
+    forces = forces - forces.mean()
+    spectrum = np.abs(np.fft.rfft(forces, 2 * count)) ** 2
+    sums, lags = np.cumsum(forces**2), np.arange(1, most + 1)
+    products = np.fft.irfft(spectrum)[lags]
+    # Half of the variance of the changes over each time.
+    changes = (0.5 * (sums[-1] - sums[lags - 1] + sums[-1 - lags]) - products) / (count - lags)
+    length = 4
+    while 2 * length <= most:
+        variance = float(changes[length - 1 : 2 * length].mean())
+        if variance <= _SATURATED * float(changes[length // 2 - 1 : length].mean()):
+            break
+        length += max(length // 4, 1)
+    else:
+        return 0.0
+    correlation = 1.0 - changes / max(variance, sys.float_info.min)
+    first = float(correlation[0])
+    if variance <= step**2 or first < max(_SMOOTH, NOT_BY_CHANCE / math.sqrt(count)):
+        return 0.0
+    # White noise behind the filter makes all correlations smaller alike.
+    fallen = int(np.argmax(correlation < 0.5 * first))
+    return period * fallen / math.log(first / max(float(correlation[fallen]), 0.1 * first))
 
 
 class Chunk(NamedTuple):

@@ -27,6 +27,7 @@ from fden_ros.core.contact.air import (
     Chunks,
     ContactConfig,
     Excess,
+    filter_time,
 )
 from fden_ros.core.contact.surface import (
     FIRST_WINDOW,
@@ -75,6 +76,7 @@ class Onset(NamedTuple):
     seen: bool  #: False: the data began in contact, so the contact point is not known
     air_seen: bool  #: the data began in the air, even if they do not show the surface
     clear_force: float  #: the mean of a chunk above it is in contact [N]
+    filter_time: float  #: of a filter that the noise in the air shows [s]; 0: none
 
     @property
     def release_force(self) -> float:
@@ -157,6 +159,8 @@ class ContactDetector:
         self.has_seen_air = False  #: whether a contact began or ended in the air
         self.inertial = 0  #: contacts whose force holds the inertia of a mass beyond the sensor
         self.mass = 0.0  #: of the newest of these [kg]
+        self.filters = 0  #: contacts before which the noise of the air was smooth
+        self.filter_time = 0.0  #: the longest of these [s]
         self.reset()
 
     def reset(self, *, keeps_contact: bool = False) -> None:
@@ -305,6 +309,10 @@ class ContactDetector:
             # There was no air yet in which the force could drift: the rise was this contact.
             self.drifts = 0
         self.has_seen_air |= seen
+        resolution, until = baseline.resolution.step, 9 * approach.first // 10
+        smooth = filter_time(approach.time[:until], approach.force[:until], resolution)
+        self.filters += smooth > 0.0
+        self.filter_time = max(smooth, self.filter_time)
         # A little before the onset, so that the memory begins with the air.
         first = max(approach.first - 2, 0) if seen else 0
         time, force = approach.time - approach.time[first], approach.force + (bias - level.value)
@@ -322,6 +330,7 @@ class ContactDetector:
             seen=seen,
             air_seen=air_seen,
             clear_force=max(clear, excess.threshold),
+            filter_time=smooth,
         )
         self._press = _Press(onset, excess)
         pairs.clear()
