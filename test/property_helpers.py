@@ -27,7 +27,7 @@ def examples(count: int) -> settings:
     return settings(max_examples=count * max(SEARCH, 1))
 
 
-def first(*seeds: int) -> list[Any]:
+def first(*seeds: Any) -> list[Any]:
     """Return the parameters of a test on the first seed in each run, on all by make statistics."""
     return [seeds[0], *(pytest.param(seed, marks=pytest.mark.statistics) for seed in seeds[1:])]
 

@@ -24,9 +24,6 @@ from std_msgs.msg import Header
 from fden_ros.recording.bag_files import RawMessage
 from fden_ros.recording.message_types import serialize
 
-# Tables
-
-
 #: Time [s], force [N] and displacement [m] of the rows that every table holds.
 ROWS = [(0.0, 0.0, 0.0), (0.1, 0.25, 0.0005), (0.2, 1234.5, 0.0015), (0.3, 2.75, 0.012)]
 
@@ -199,10 +196,6 @@ TABLES: dict[str, Table] = {
     "two forces": asked(
         "Time (s),Load A (N),Load B (N),Depth (mm)", "the force: Load A (N), Load B (N)"
     ),
-    "two forces of one name": asked("Time (s),Load (N),Load (N),Depth (mm)", "the force: 2, 3"),
-    "two ways": asked(
-        "Time (s),Load (N),Stroke (mm),Depth (mm)", "displacement: Stroke (mm), Depth (mm)"
-    ),
     "the measured without a unit": asked(
         "time_s,force_N,press_actual,x_mm", "'time_s,force_N,press_actual*FACTOR'"
     ),
@@ -210,11 +203,9 @@ TABLES: dict[str, Table] = {
     "a force without a word": asked(
         "Time (s),Pd (µm),Fn (µN)", "such as --columns 'Time (s),Fn (µN)*1e-06,Pd (µm)*1e-06'"
     ),
-    "letters": asked("a,b,c,d", "has a, b, c, d"),
     "a unit that is not known": asked(
         "time_s,Load (sthene),depth_mm,k", "'time_s,Load (sthene)*FACTOR,depth_mm*0.001'"
     ),
-    "MN in capitals": asked("TIME (S),LOAD (MN),DEPTH (MM),N", "which column is the force"),
     "whole seconds of what": asked(
         "timestamp,force_N,depth_mm\n1700000000,1,2\n1700020000,1,2", "which column is the time"
     ),
@@ -265,9 +256,6 @@ TABLES: dict[str, Table] = {
     ),
     "nothing": Table("", refused=("is empty",)),
 }  # fmt: skip
-
-
-# Bags
 
 
 START = 1_700_000_000_000_000_000

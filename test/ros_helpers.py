@@ -268,6 +268,13 @@ def assert_live_equals_replay(bag: Path, kinds: Sequence[type], **options: Any) 
                     assert message.lag >= 0.0
                     message.lag = 0.0  # as in a replay, which has no clock
             assert [serialize(message) for message in live] == messages, kind
+        with Bench() as late:
+            # Summaries and the label are latched.
+            contacts = len(bench.summaries)
+            late.wait_for(lambda: len(late.summaries) == contacts, "the latched summaries")
+            if Classification in kinds:
+                late.wait_for(lambda: late.classifications, "the latched label")
+                assert serialize(late.classifications[-1]) == expected[Classification][-1]
     return result
 
 

@@ -45,9 +45,6 @@ def one_process(monkeypatch):
     monkeypatch.setattr(harness, "PROCESSES", 1)
 
 
-# Goals and tables
-
-
 def test_error_is_undetected_unless_a_flag_reports_it():
     off = (0.1, 0.0, 0.0)
     assert judged(off).is_undetected
@@ -78,9 +75,6 @@ def test_bound_of_a_ramp_below_the_boundary_strain_is_the_analytic_one():
     # The derivative by the origin is singular at the touch: differences see it blunted.
     np.testing.assert_allclose(found[[0, 3, 4]], expected, rtol=0.01)
     assert found[1] == found[2] == 0.0
-
-
-# Small runs
 
 
 def benchmark(capsys, tmp_path, name, *arguments):
@@ -129,7 +123,14 @@ SMALL = {
 }
 
 
-@pytest.mark.parametrize("words", SMALL)
+#: The others by make statistics.
+OFTEN = "exact", "real"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [pytest.param(w, marks=[] if w.startswith(OFTEN) else pytest.mark.statistics) for w in SMALL],
+)
 def test_a_small_run_of_each_writes_its_figures(words, small, tmp_path, capsys):
     figures = benchmark(capsys, tmp_path, *words.format(tables=small).split())
     assert SMALL[words](figures)
@@ -180,9 +181,6 @@ def tables(tmp_path_factory):
         header = ("test", "material", "time_s", "force_N", "displacement_mm", "gap_mm")
         csv.writer(file).writerows([header, *lines])
     return folder
-
-
-# The benchmarks of speed measure what they say; their goals are for a quiet machine
 
 
 class Read:

@@ -35,8 +35,6 @@ from simulation.bag import write_recording
 from simulation.scenario import Tissue, load_scenario, ramp_scenario
 from simulation.simulate import simulate
 
-# The shape of ``fden``: every command explains itself, and says in one line what is wrong
-
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name, capsys):
@@ -76,9 +74,6 @@ def test_what_cannot_be_done_is_one_line_and_an_exit_code(command, code, words, 
         found = int(str(error.code))
     line = capsys.readouterr().err
     assert (found, line.count("\n")) == (code, 1) and words in line
-
-
-# ``fden batch``: an archive of bags, identified by processes of this machine
 
 
 ROOT = Path(__file__).parent.parent
@@ -147,9 +142,6 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     assert table.read_text().startswith(before)
 
 
-# Without workers
-
-
 def test_bags_are_found_in_folders_and_by_patterns(tmp_path):
     air(tmp_path / "a" / "one", 1, 3)
     air(tmp_path / "a" / ".two.part", 2, 3)
@@ -197,9 +189,6 @@ def test_another_table_is_not_touched(tmp_path):
         batch.Results(path, "")
 
 
-# Continuous contact from a bag: table, JSON, results, map and report
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("continuous") / "bag"
@@ -232,9 +221,6 @@ def test_a_path_is_identified_and_its_places_are_a_map(bag, tmp_path, capsys):
 
     assert column("stiffness", "<f8") == pytest.approx([o["apparent_stiffness"] for o in known])
     assert column("x", "<f4") == pytest.approx([o["position"][0] for o in known], abs=1e-6)
-
-
-# ``fden report``: what the page says, and that a browser shows it without a complaint
 
 
 @pytest.fixture(scope="module")

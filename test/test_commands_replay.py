@@ -94,9 +94,6 @@ def check_truth(result: dict[str, Any], recording: Recording, tolerance: float =
     assert contact["g_n"] == pytest.approx(site["nonlinear_stiffness"], rel=tolerance)
 
 
-# Bags of others
-
-
 def test_a_bag_of_rosbags_with_slow_poses_and_negative_force_gives_the_truth(
     capsys: pytest.CaptureFixture[str], foreign_bag: Path, config: Path, recording: Recording
 ) -> None:
@@ -119,9 +116,6 @@ def test_damaged_messages_are_counted_and_the_others_used(
     damaged = {k: n for k, n in result["rejected"].items() if k.endswith(".damaged")}
     assert sum(damaged.values()) == 3
     assert len(result["contacts"]) == 2
-
-
-# Which topics
 
 
 def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
@@ -148,19 +142,6 @@ def test_several_sensible_topics_are_listed_in_one_line(
     assert "/left/wrench" in line and "/right/wrench" in line and "--force-topic" in line
     line = error_line(capsys, 1, "replay", bag, "--force-topic", "/pose")
     assert "--force-field" in line
-
-
-# The bag of results
-
-
-def test_a_bag_of_results_is_no_recording_and_none_of_its_numbers_is_proposed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    out = tmp_path / "results"
-    replayed(capsys, POSE, "--config", POSE / "identifier.yaml", "-o", out)
-    line = error_line(capsys, 1, "replay", out)
-    assert "no topic can carry the force" in line
-    assert "fden_msgs are what an identifier makes of a recording: replay that" in line
 
 
 def test_the_results_are_a_bag_of_all_that_the_node_publishes(
@@ -204,11 +185,9 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
         if topic == "/identifier/estimate"
     ]
     assert min(delays) >= 0 and max(delays) < 0.1e9
-    line = error_line(capsys, 1, "replay", POSE, *options)
-    assert "--force" in line
-
-
-# The projector of measurements: fields of any message, tables and topics come out alike
+    assert "--force" in error_line(capsys, 1, "replay", POSE, *options)
+    words = "fden_msgs are what an identifier makes of a recording: replay that"
+    assert words in error_line(capsys, 1, "replay", out)
 
 
 FORCE, POSES = "/tool/wrench", "/arm/measured_cp"

@@ -228,16 +228,6 @@ def test_presses_of_tissue_tell_a_delay_by_their_bends(geometry, motions, delay,
         assert finding.deviation < 0.01
 
 
-def test_a_press_without_bends_tells_no_delay():
-    times = np.arange(0.0, 24.0, 0.005)
-    depth = 0.003 * np.sin(np.pi * times / 12.0)
-    force = 500.0 * np.maximum(depth, 0.0)
-    force += np.random.default_rng(0).normal(0.0, 0.05, times.size)
-    streams = Streams("slow", times, force[:, None], times, depth[:, None])
-    finding = survey([streams]).finding("delay")
-    assert not finding.parameters and not finding.claim
-
-
 def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, float]:
     """Two presses whose force went through a low-pass; the delay of that [s]."""
     one = late(0.0, *[RampHold(0.3, 0.2, 2.0, 0.6)] * 2, seed=seed)
@@ -280,8 +270,6 @@ def test_noise_of_no_filter_is_taken_for_none(kind):
         taken.append(find_filter(list(rest), 200.0) is not None)
     assert not any(taken)
 
-
-# The command
 
 INDENTER = ["--flat-punch", "3.14e-4", "--thickness", "0.02"]
 
@@ -358,9 +346,6 @@ def test_a_probe_in_transforms_alone_is_set_up_by_hand(tmp_path, capsys):
     bag = write_bag(tmp_path / "arm", arm(first_press()))
     assert fden("configure", bag) == 1
     assert "set frames.base" in capsys.readouterr().err
-
-
-# Robots by name: their topics and conventions, on bags in each layout by another library
 
 
 #: Robot: topics, kind of the displacement, the sign of what its sensor shows (1: what acts on the

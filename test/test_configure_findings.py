@@ -24,8 +24,6 @@ from simulation.scenario import (
 from simulation.simulate import START_NS, simulate
 from simulation.trajectory import Approach, RampHold
 
-# `fden configure` on slow presses by noisy arms: no sign, axis or unit is stated wrongly
-
 
 class Verdict(NamedTuple):
     wrong: tuple[str, ...]

@@ -26,12 +26,6 @@ from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import Column, Command, FdenModel, Inclusion, Rig, RigConfig
 from simulation.simulate import EXACT
 
-# The force controller in closed loop: gains scheduled by the live stiffness, and fixed ones
-# Simulated tissue and the real identification, without ROS. The probe touches, rests at a light
-# force, steps to a working force and back, and then to a higher one, on the way to which it meets
-# an inclusion that makes the tissue several times stiffer. The rig's deviations are 0.
-
-
 #: From the softest to the stiffest specimen of Table II; alpha from the dynamic test.
 SOFTEST = FdenModel(341.8, 5.26, 0.118)
 STIFFEST = FdenModel(1294.0, 13.18, 0.146)
@@ -139,30 +133,17 @@ MIDDLE = 4.0 / 9.0
 CONFIG = ForceControlConfig(safe_stiffness=100.0, force_limit=1.0, bandwidth=10.0)
 
 
-def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness():
+def test_the_velocity_is_the_wanted_rate_of_force_over_the_live_stiffness_or_the_safe_one():
     controller = ForceController(CONFIG)
-    velocity = controller.step(0.0, 0.30, 0.0, 0.35, (40.0, 10.0))
-    assert velocity == pytest.approx(10.0 * 0.05 / 50.0)
-    assert controller.gains is Gains.LIVE
-
-
-def test_without_an_estimate_the_safe_gains_are_used_at_once():
-    controller = ForceController(CONFIG)
-    controller.step(0.0, 0.30, 0.0, 0.35, (40.0, 0.0))
-    velocity = controller.step(0.005, 0.30, 0.0, 0.35, None)
-    assert controller.gains is Gains.SAFE
-    assert velocity == pytest.approx(10.0 * 0.05 / 100.0)
-
-
-def test_on_tissue_stiffer_than_the_safe_one_a_loss_makes_nothing_faster():
-    controller = ForceController(CONFIG)
-    before = controller.step(0.0, 0.30, 0.0, 0.35, (300.0, 0.0))
-    assert controller.step(0.005, 0.30, 0.0, 0.35, None) == pytest.approx(before)
-
-
-def test_the_rate_leaves_room_below_the_limit():
-    controller = ForceController(CONFIG)
-    velocity = controller.step(0.0, 0.9, 0.0, 5.0, (100.0, 0.0))
+    for number, (known, stiffness) in enumerate(
+        # A loss makes nothing faster on tissue that is stiffer than the safe one.
+        [((40.0, 10.0), 50.0), (None, 100.0), ((300.0, 0.0), 300.0), (None, 300.0)]
+    ):
+        velocity = controller.step(0.005 * number, 0.30, 0.0, 0.35, known)
+        assert velocity == pytest.approx(10.0 * 0.05 / stiffness)
+        assert controller.gains is (Gains.SAFE if known is None else Gains.LIVE)
+    # The rate leaves room below the limit.
+    velocity = ForceController(CONFIG).step(0.0, 0.9, 0.0, 5.0, (100.0, 0.0))
     guard = GUARDED_STIFFENING * CONFIG.reaction_time
     assert velocity == pytest.approx((1.0 - 0.9) / guard / 100.0)
 

@@ -82,9 +82,6 @@ def test_the_commands_of_a_page_print_what_is_shown_one_after_the_other(
         assert_alike(done.stdout.decode(), shown)
 
 
-# All pages
-
-
 @BY_NAME
 def test_every_link_of_a_page_leads_somewhere(page):
     for target in re.findall(r"\]\(([^)#]*)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
@@ -104,9 +101,6 @@ def test_every_fden_command_of_a_page_is_understood(page):
                 parser.parse_args(words)
             except SystemExit as error:
                 assert not error.code, line  # 0: --help
-
-
-# The interface
 
 
 def constants_of(message: str, prefix: str) -> dict[str, int]:

@@ -471,7 +471,7 @@ def assert_third_site(s: Shift, outcome: Outcome, clean: Outcome) -> None:
     assert abs(difference) < sd
 
 
-@pytest.mark.parametrize("minutes", counts(6, 60))
+@pytest.mark.parametrize("minutes", counts(3, 60))
 def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
     """At 10 Hz, pressed and held, a block a second."""
     count = 600 * minutes
@@ -525,7 +525,8 @@ def test_shift_after_shift_leaves_the_memory_as_it_was(count, kind):
     sizes = []
     for number in range(count):
         later = round(number * (s.second(s.items[-1].stamp_ns) + 0.5) * NANOSECONDS)
-        for item in s.items:
+        # A quarter of the samples, which come in pairs.
+        for item in (item for k, item in enumerate(s.items) if k % 8 < 2):
             stamp = item.stamp_ns + later
             if item.stream == 0:
                 pipeline.add_force(stamp, item.value)

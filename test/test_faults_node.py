@@ -108,15 +108,6 @@ def test_a_signal_in_a_contact_publishes_its_summary():
     assert not bench.summaries[0].complete
 
 
-@row("sim_time_without_clock")
-def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on():
-    with Bench() as bench, active({"use_sim_time": True}):
-        bench.wait_until_heard()
-        one = Live(bench)
-        one.wait_for_words("nothing publishes /clock")
-        one.recovers()
-
-
 BROKEN = """
 from fden_ros.core.estimation import GridEstimator
 real, seen = GridEstimator.add, []
@@ -169,6 +160,15 @@ def test_an_exception_of_the_core_ends_a_contact_and_its_site_and_the_node_goes_
     output = process.output  # type: ignore[attr-defined]
     assert output.count("Traceback (most recent call last)") == 1
     assert output.count("ZeroDivisionError: on purpose): this site gives no estimate") == 1
+
+
+@row("sim_time_without_clock")
+def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on():
+    with Bench() as bench, active({"use_sim_time": True}):
+        bench.wait_until_heard()
+        one = Live(bench)
+        one.wait_for_words("nothing publishes /clock")
+        one.recovers()
 
 
 @row("wrong_frame")

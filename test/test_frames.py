@@ -43,8 +43,6 @@ from simulation.bag import PARAMETER_FILE
 #: It takes a sixth of the time of the grid, which recordings and the node have below.
 PAPER = {"estimator.kind": "ekf"}
 
-# Forces and positions in frames that move: by /tf, against the truth of a turning arm
-
 
 def run(samples: Iterable[Any], **parameters: Any) -> Outcome:
     own = {name.replace("__", "."): value for name, value in parameters.items()}
@@ -100,9 +98,6 @@ def test_outputs_do_not_depend_on_how_transforms_and_forces_are_interleaved(turn
     ]
 
 
-# Recordings and the node
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp("arm") / "bag", arm(first_press()))
@@ -142,9 +137,6 @@ def test_live_equals_replay_with_transforms_bit_for_bit(bag):
     assert_live_equals_replay(bag, KINDS, remap={"/ft/wrench": "/force"})
 
 
-# Tools that turn while they press: their weight, and a probe that advances along its own axis
-
-
 Pose = tuple[np.ndarray, Rotation]
 MESSAGES = {"force": WrenchStamped, "displacement": PoseStamped}
 
@@ -177,8 +169,6 @@ def by_messages(
     return Outcome(pipeline, tuple(outputs))
 
 
-# The weight of a tool that turns
-
 MASS, GRAVITY = 0.3, (0.0, 0.0, -9.80665)
 
 
@@ -195,8 +185,6 @@ def test_a_tool_that_turns_while_it_presses_gives_what_one_that_does_not_turn_gi
 
     assert_alike(by_messages(force, pose, {"tool.mass": MASS}), still)
 
-
-# A probe that advances along its own axis: tilted approaches against the truth
 
 #: Out of the probe's tip, in its frame.
 AXIS = np.array([1.0, 0.0, 0.0])

@@ -5,23 +5,20 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fden_msgs.msg import TissueClassification, TissueEstimate
+from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from ros_helpers import (
-    PATIENT,
     Bench,
     Live,
     active,
     assert_live_equals_replay,
-    play,
     stamp,
 )
 from std_srvs.srv import Trigger
@@ -34,7 +31,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.parameters import PARAMETERS
 from fden_ros.recording.reader import BagReader, read_truth
-from simulation.bag import PARAMETER_FILE, write_recording
+from simulation.bag import write_recording
 from simulation.scenario import load_scenario
 from simulation.simulate import simulate
 
@@ -49,11 +46,6 @@ def inputs_of(bag: Path) -> dict[str, str]:
         force: "/force",
         next(n for n in names if n != force and "truth" not in n): "/displacement",
     }
-
-
-def play_inputs(bag: Path, **options: Any) -> None:
-    remap = inputs_of(bag)
-    play(bag, remap=remap, **options)
 
 
 def truth_of(bag: Path) -> dict[str, Any]:
@@ -143,19 +135,3 @@ def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere():
         bench.wait_for(lambda: bench.summaries, "the release")
         bench.wait_for(lambda: bench.call(Trigger, "tare").success, "the air")
         assert bench.call(Trigger, "reset").success
-
-
-def test_classification_and_summaries_reach_those_who_come_late():
-    bag = GOLDEN / "golden_press"
-    with active(PATIENT, file=bag / PARAMETER_FILE):
-        play_inputs(bag)
-        with Bench() as bench:
-            bench.wait_for(lambda: len(bench.summaries) == 2, "the latched summaries")
-            # A loaded machine may still be at the end of the bag.
-            decided = TissueClassification.DECISION_CLASS
-            bench.wait_for(
-                lambda: bench.classifications and bench.classifications[-1].decision == decided,
-                "the latched classification",
-            )
-        assert bench.classifications[-1].label == "liver"
-        assert math.isclose(sum(bench.classifications[-1].probabilities), 1.0)

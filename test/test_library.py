@@ -25,9 +25,6 @@ from simulation.bag import write_recording
 from simulation.scenario import Tissue, ramp_scenario
 from simulation.simulate import simulate
 
-# Tissue libraries from YAML
-
-
 MOMENTS = {
     "linear_stiffness": {"mean": 544.8, "sd": 155.3},
     "nonlinear_stiffness": {"mean": 8.547, "sd": 1.604},
@@ -102,9 +99,6 @@ def test_mistake_is_told_in_one_line_with_the_file(tmp_path, data, said):
     assert said in message and str(path) in message
 
 
-# Units and geometry
-
-
 def parameters(path="", **geometry):
     values = {f"geometry.{name}": value for name, value in geometry.items()}
     return check({"classifier.library": str(path), **values})
@@ -115,9 +109,6 @@ def test_library_of_other_units_is_refused(tmp_path, units, area):
     path = written(tmp_path, content(format=2, units=units))
     with pytest.raises(InputError, match=f"G is in {units} s\\^alpha, but the estimates"):
         pipeline_config(parameters(path, area=area))
-
-
-# Libraries learned from contacts
 
 
 MEAN = np.array([6.3, 2.1, 0.13])
@@ -167,9 +158,6 @@ def test_library_that_was_written_is_read_again():
         np.testing.assert_allclose(one.mean, other.mean)
         np.testing.assert_allclose(one.covariance, other.covariance)
         assert (one.degrees_of_freedom, one.prior) == (other.degrees_of_freedom, other.prior)
-
-
-# fden batch, fden train, fden replay
 
 
 def changed(path, other, **changes):

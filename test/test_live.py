@@ -52,14 +52,11 @@ from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.parameters import check, pipeline_config
-from fden_ros.report.monitor import MonitorView, monitor_view, next_step
+from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig
 from fden_ros.tissue_feed import TissueFeed
 from simulation.simulate import EXACT
-
-# The live system over DDS: controller, example, monitor, map, and a clean end
-
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: What a machine that runs every other test beside it can keep pace with.
@@ -154,17 +151,6 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
     for words in (interval, "gap", "99 Hz", "3 at site 2", "liver 97%", "safe", "2,620", "(500 ±"):
         assert words in text
     assert "no estimate for 3.0 s" in shown(replace(view, age=3.0, refusal=Refusal(Cause.LOST)))
-
-
-@pytest.mark.parametrize(
-    ("said", "step"),
-    [
-        ({"contacts": "0", "problem 1": "nothing publishes /force"}, "nothing publishes /force"),
-        ({"contacts": "3", "last contact": "hold for 2 s for alpha"}, "hold for 2 s for alpha"),
-    ],
-)
-def test_the_monitor_names_the_next_step(said, step):
-    assert step in next_step(MonitorView("/identifier", diagnostics=said))
 
 
 def test_the_controller_schedules_live_and_falls_back_when_the_node_dies():
@@ -275,9 +261,6 @@ def test_the_live_system_starts_and_ends_with_its_terminal():
         ears.wait_for(
             lambda: not ears.node.count_publishers("/fden_live/force"), "everybody's end"
         )
-
-
-# What a controller is told: of states directly, and of a live identifier that freezes or dies
 
 
 AREA, THICKNESS = 3.1416e-4, 0.02
@@ -448,9 +431,6 @@ def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(pres
     reading = live.reading(later[1].stamp_ns / NANOSECONDS)
     assert reading is not None
     assert live.predictor(later[1].stamp_ns / NANOSECONDS) is not None
-
-
-# Over DDS
 
 
 def is_refused(feed: LiveTissue, cause: Cause) -> bool:

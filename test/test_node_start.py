@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
@@ -37,9 +36,6 @@ def looks_that_say(bench: Bench, *words: str) -> int:
 def wait_for_words(bench: Bench, *words: str, looks: int = 2) -> None:
     """Wait until so many looks have said them: the log has it from the second on."""
     bench.wait_for(lambda: looks_that_say(bench, *words) >= looks, f"the words {words}")
-
-
-# First mistakes
 
 
 def test_a_topic_that_nothing_publishes_is_named_with_one_that_fits_and_the_remap():
@@ -89,10 +85,10 @@ def test_lost_messages_are_said_with_their_topic_and_what_mends_it():
         bench.wait_for(lambda: bench.diagnostic().get("pairs", "0") != "0", "the first of them")
         # While it is stopped, shared memory has no room for all of them.
         node.send_signal(signal.SIGSTOP)
-        for k in range(50, 6000):
+        for k in range(50, 2500):
             bench.publish(START_NS + k * STEP_NS, 0.0, 0.0)
         node.send_signal(signal.SIGCONT)
-        now = iter(range(START_NS + 6000 * STEP_NS, 2 * START_NS, STEP_NS))
+        now = iter(range(START_NS + 2500 * STEP_NS, 2 * START_NS, STEP_NS))
         words = "messages a second on /force lost: publish it at no more than"
         bench.wait_for(
             lambda: (
@@ -137,9 +133,6 @@ def test_estimates_of_a_machine_that_is_too_slow_are_late_and_that_is_said():
     assert warnings_of(node, words)
 
 
-# Lifecycle
-
-
 def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
     """The requests of a lifecycle manager; what is refused is in log and diagnostics."""
     change = Transition
@@ -165,7 +158,7 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
             assert not set_library("/nowhere/tissues.yaml")
             heard = len(bench.estimates)
             bench.publish(START_NS, 0.0, 0.0)
-            bench.spin_for(1.2)
+            bench.spin_for(0.5)
             assert len(bench.estimates) == heard
             assert bench.change_state(change.TRANSITION_ACTIVATE)
             bench.wait_for(lambda: bench.estimates and bench.diagnostics, "its voice")
@@ -179,21 +172,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         assert node.output.count(f": {words}") == count, words
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may raise a priority everywhere")
-def test_the_node_and_its_middleware_go_before_ordinary_processes():
-    with Bench() as bench, identifier({"autostart": True}) as node:
-        bench.wait_until_connected()
-        tasks = list(Path(f"/proc/{node.pid}/task").iterdir())
-        threads = {int(t.name): t.joinpath("comm").read_text().strip() for t in tasks}
-        own = [pid for pid, name in threads.items() if pid == node.pid or "dds" in name]
-        found = {os.getpriority(os.PRIO_PROCESS, pid) for pid in own}
-    assert len(own) > 1 and found == {max(os.nice(0) - 10, -20)}, threads
-    assert "no right" not in node.output
-
-
-# The end
-
-
 def signals_until_gone(process: subprocess.Popen[str], number: int) -> None:
     """Send a signal again and again, as a terminal and a launch file both do."""
     while process.poll() is None:
@@ -201,9 +179,16 @@ def signals_until_gone(process: subprocess.Popen[str], number: int) -> None:
         time.sleep(0.005)
 
 
-def test_a_node_that_is_interrupted_again_and_again_ends_cleanly():
+def test_the_node_goes_before_ordinary_processes_and_ends_cleanly_if_interrupted_often():
     with Bench() as bench, identifier({"autostart": True}) as node:
         bench.wait_until_connected()
+        tasks = list(Path(f"/proc/{node.pid}/task").iterdir())
+        threads = {int(t.name): t.joinpath("comm").read_text().strip() for t in tasks}
+        own = [pid for pid, name in threads.items() if pid == node.pid or "dds" in name]
+        found = {os.getpriority(os.PRIO_PROCESS, pid) for pid in own}
         signals_until_gone(node, signal.SIGINT)
-    assert node.returncode == 0
-    assert "Traceback" not in node.output
+    assert node.returncode == 0 and "Traceback" not in node.output
+    # Only who may raise a priority everywhere gets it.
+    if "no right" not in node.output:
+        assert len(own) > 1 and found == {max(os.nice(0) - 10, -20)}, threads
+    assert ("no right" in node.output) <= (os.geteuid() != 0)

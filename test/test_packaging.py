@@ -147,9 +147,6 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
     assert run("bash", "-c", f"{sourced}{fden} --version").stdout.startswith("fden ")
 
 
-# Without ROS
-
-
 PRESS = ("examples/press.csv", "--config", "examples/probe.yaml")
 POSE = "bags/golden/golden_pose"
 POSES = (POSE, "--config", f"{POSE}/identifier.yaml")
@@ -221,9 +218,6 @@ def test_wheels_work_in_a_new_environment_without_ros_and_with_it(tmp_path):
     assert "contact 1 at site 1" in shown  # on a busy machine not in time to be relied on
 
 
-# The layout: imports run one way, from what is nearer the user to what is nearer the data
-
-
 PACKAGE = Path(__file__).parent.parent / "fden_ros"
 
 #: Rooms in the order of the data: each imports only what stands above it here.
@@ -274,9 +268,6 @@ def test_imports_run_one_way():
     assert {room for _, *both in found for room in both} <= set(places)
     upward = {arrow for arrow in found if places[arrow[2]] >= places[arrow[1]]}
     assert upward == set()
-
-
-# Least privilege, and nothing read is ever executed
 
 
 POLICY = ROOT / "config" / "sros2_policy.xml"

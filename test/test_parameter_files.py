@@ -59,8 +59,6 @@ def live_values(path: Path, node: str, context: Context) -> dict[str, Any]:
         running.destroy_node()
 
 
-# What is accepted, and what it means
-
 AREA = {"geometry.area": 2e-4}
 
 
@@ -124,8 +122,6 @@ def test_node_and_replay_read_a_file_alike(case, tmp_path, context):
     assert read_parameter_file(path, node).as_dict() == expected
     assert live_values(path, node, context) == expected
 
-
-# What is refused, and with which words
 
 REFUSED: dict[str, tuple[str | bytes | None, str]] = {
     "no file": (None, "cannot read the parameter file: No such file or directory"),

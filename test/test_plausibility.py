@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_helpers import answer
 from pipeline_helpers import LIVER_PARAMETERS, begun
 
 from benchmark.trial import fed
@@ -17,7 +16,6 @@ from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check
-from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
@@ -111,9 +109,6 @@ def test_slow_recording_is_identified():
         assert summary.estimate.nonlinear_stiffness == pytest.approx(g_n, rel=0.01)
 
 
-# A geometry that is not stated
-
-
 def test_without_a_stated_geometry_nothing_is_converged(once):
     outputs: list[Output] = []
     unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0)}
@@ -128,17 +123,3 @@ def test_without_a_stated_geometry_nothing_is_converged(once):
     state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
     live.add(state, 0.0)
     assert live.refusal(0.0).cause is Cause.REJECTED
-
-
-def test_every_output_says_that_the_geometry_is_not_stated(capsys, tmp_path, once):
-    results = tmp_path / "results"
-    found = answer(capsys, "replay", once, "--columns", RIGHT, "-o", results)
-    assert all(
-        c["flags"] == ["geometry_unstated"] and not c["converged"] for c in found["contacts"]
-    )
-    assert found["warnings"][0].startswith("the geometry is not stated")
-    messages = [decode(m) for m in BagReader(results).messages(["/diagnostics"])]
-    assert messages
-    for message in messages:
-        (status,) = message.status
-        assert status.level == status.WARN and "the geometry is not stated" in status.message

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import json
 import math
 import shlex
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_helpers import fden, rows_of
 from pipeline_helpers import refusal
 from recording_kinds import (
     BAGS,
@@ -186,9 +184,6 @@ def renamed(joints, names):
     return joints
 
 
-# Stamps
-
-
 @pytest.mark.parametrize(
     ("kind", "stamps"),
     [*(("MCAP", stamps) for stamps in STAMPS), ("sqlite3", "zero"), ("ROS 1", "since boot")],
@@ -213,77 +208,22 @@ def test_stamps_that_cannot_be_used_are_named_and_the_times_of_recording_do(
     assert reading.streams.force_times.size == reading.streams.motion_times.size == 120
 
 
-# Numbers in arrays
-
-
-def array_bag(folder: Path, source: Path) -> Path:
-    """Write a press as one array: time, a constant, force [N] and depth [m] at each force."""
-    depth = 0.0
-    with BagWriter(folder) as bag:
-        bag.add_topic("/data_control", "std_msgs/msg/Float64MultiArray")
-        messages = BagReader(source).messages(["/force", "/displacement"])
-        for message in itertools.islice(messages, 1200):
-            sample = decode(message)
-            if message.topic == "/displacement":
-                depth = sample.position[0]
-                continue
-            time = 1e-9 * message.log_time_ns
-            force = sample.wrench.force.z
-            array = Float64MultiArray(data=[time, 0.5, force, depth])
-            bag.write("/data_control", array, message.log_time_ns)
-    return folder
-
-
 def test_numbers_that_could_be_meant_are_listed_with_the_options_that_name_them(tmp_path, capsys):
-    bag = str(array_bag(tmp_path / "bag", PRESS))
-    command = ["replay", bag, "--config", str(PRESS / "identifier.yaml"), "--json"]
-    assert main(command) == 1
+    """Of one array: time, a constant, force and depth."""
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/data", "std_msgs/msg/Float64MultiArray")
+        for k in range(500):
+            depth = max(0.0, 1e-5 * (k - 200))
+            numbers = [1.0 + 0.01 * k, 0.5, 100.0 * depth, 0.01 + depth]
+            bag.write("/data", Float64MultiArray(data=numbers), START + k * 10_000_000)
+    assert main(["replay", str(tmp_path / "bag"), "--json"]) == 1
     _, *listed, proposed = capsys.readouterr().err.splitlines()
     assert [line.split()[1] for line in listed] == ["data[0]", "data[2]", "data[3]"]
     words = shlex.split(proposed.removeprefix("try: fden "))
-    assert words[-8:-4] == ["--force-topic", "TOPIC", "--force-field", "FIELD"]
     for stream, field in (("force", "data[2]"), ("displacement", "data[3]")):
         place = words.index(f"--{stream}-topic")
-        words[place + 1], words[place + 3] = "/data_control", field
-    assert main(words) in (0, 3)  # the depth is that of the sample before, which shows
-    result = json.loads(capsys.readouterr().out)
-    assert result["inputs"] == {
-        "force": "/data_control data[2]",
-        "displacement": "/data_control data[3]",
-    }
-    assert result["samples"] > 500
-
-
-# Archives
-
-
-def test_an_archive_of_all_kinds_is_done_and_what_is_empty_is_a_row(tmp_path, capsys):
-    archive = tmp_path / "archive"
-    messages = small()
-    for number, kind in enumerate(("sqlite3", "ROS 1", "MCAP by message", "sqlite3 of Foxy")):
-        (archive / str(number)).mkdir(parents=True)
-        bag_of(kind, archive / str(number), messages)
-    rows = "".join(f"{0.01 * k + 1},{0.1 * k},{0.2 * k}\n" for k in range(100))
-    (archive / "notes.txt").write_text("what was done on that day\nand why\n")
-    (archive / "press.csv").write_text("time_s,force_N,depth_mm\n" + rows)
-    (archive / "press.txt").write_text("time_s force_N depth_mm\n" + rows.replace(",", " "))
-    (tmp_path / "empty").mkdir()
-    output = archive / "results.csv"
-    # A text in a folder may be notes: a table is named.
-    places = [archive, archive / "press.txt", tmp_path / "empty", tmp_path / "nowhere"]
-    for _ in range(2):
-        assert fden("batch", *places, "-o", output, "--workers", "1") == 0
-        rows = rows_of(output)
-        found = {Path(row["bag"]).name: row["error"] for row in rows}
-        chosen = {Path(row["bag"]).name: row["inputs"] for row in rows}
-        assert chosen["old.bag"] == "force from /force, displacement from /joints"
-        assert found.keys() == {
-            *("bag", "old.bag", "old.db3", "press.csv", "press.txt"),
-            *("empty", "nowhere"),
-        }
-        errors = {name: error for name, error in found.items() if error}
-        assert errors.keys() == {"empty", "nowhere"}
-        assert "holds no bag" in errors["empty"] and "does not exist" in errors["nowhere"]
-    said = capsys.readouterr().err
-    # One that is not there is looked for again.
-    assert said.count("broken:") == 3 and said.count("does not exist") == 2
+        assert words[place + 1 : place + 4] == ["TOPIC", f"--{stream}-field", "FIELD"]
+        words[place + 1], words[place + 3] = "/data", field
+    assert main(words) in (0, 3)
+    inputs = json.loads(capsys.readouterr().out)["inputs"]
+    assert inputs == {"force": "/data data[2]", "displacement": "/data data[3]"}

@@ -143,8 +143,8 @@ def test_recordings_at_urls_are_found_in_folders_and_by_patterns(s3):
     assert str(bag) == f"{root}/press/golden_pose_0.mcap"
 
 
-@pytest.mark.parametrize("name", ["s3://lab/x.mcap", "https://127.0.0.1/x.mcap", "sftp://h/x.csv"])
-def test_without_the_extra_one_line_says_what_to_install(name):
+def test_without_the_extra_one_line_says_what_to_install():
+    name = "s3://lab/x.mcap"
     hidden = "import sys; sys.modules['upath'] = None; from fden_ros.cli import main; "
     done = subprocess.run(
         [sys.executable, "-c", f"{hidden}sys.exit(main(['replay', {name!r}]))"],

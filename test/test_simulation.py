@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-import json
 from dataclasses import replace
 
 import mpmath
@@ -19,7 +18,6 @@ from pipeline_helpers import refusal
 from property_helpers import first
 from sensor_msgs.msg import JointState
 
-from fden_ros.parameters import check
 from fden_ros.simulation import Column, FdenModel
 from fden_ros.simulation import Tissue as SteppedTissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
@@ -36,15 +34,10 @@ from simulation.scenario import (
     Scenario,
     Site,
     Tissue,
-    load_scenario,
-    scenario_names,
     scenario_of_mapping,
 )
 from simulation.simulate import START_NS, simulate
 from simulation.trajectory import Approach, RampHold
-
-# The exact stress against arbitrary precision, known limits and another quadrature
-
 
 DIGITS = 30
 
@@ -123,12 +116,6 @@ def test_stress_is_exact_under_random_piecewise_linear_strain(seed):
     assert error <= 1e-12 * peak
 
 
-# Contact that cannot pull: its free surface, and against time stepping on a fine grid
-
-
-# The stepped tissue, the rig, and the simulator node in its own process
-
-
 LIVER = FdenModel(544.8, 8.547, 0.131)
 STEP = 1e-3
 #: Of the peak; the promise.
@@ -183,37 +170,23 @@ def test_the_node_publishes_as_a_driver_does_and_takes_commands():
         assert "fill exactly one" in simulator.output
 
 
-# Scenario files: those that come along, and what is said about wrong ones
-
-
-GOOD = {
-    "name": "trial",
-    "geometry": {"kind": "flat_punch", "area_m2": 1e-4, "thickness_m": 0.02},
-    "sites": [
-        {
-            "tissue": {
-                "linear_stiffness": 520,
-                "nonlinear_stiffness": 8.5,
-                "fractional_order": 0.131,
-            },
-            "position_m": [0.0, 0.01],
-            "presses": [{"kind": "ramp", "strain_rate": 0.1, "max_strain": 0.3}],
-        }
-    ],
-}
+TISSUE = {"linear_stiffness": 520, "nonlinear_stiffness": 8.5, "fractional_order": 0.131}
+FACE = {"kind": "flat_punch", "area_m2": 1e-4, "thickness_m": 0.02}
+PRESS = {"kind": "ramp", "strain_rate": 0.1, "max_strain": 0.3}
 
 
 def changed(path, value):
-    """GOOD with one value changed, or removed where it is None."""
-    data = copy.deepcopy(GOOD)
-    inner = data
+    """A good scenario with one value changed, or removed where it is None."""
+    good = inner = copy.deepcopy(
+        {"geometry": FACE, "sites": [{"tissue": TISSUE, "presses": [PRESS]}]}
+    )
     for key in path[:-1]:
         inner = inner[key]
     if value is None:
         del inner[path[-1]]
     else:
         inner[path[-1]] = value
-    return data
+    return good
 
 
 @pytest.mark.parametrize(
@@ -230,9 +203,6 @@ def test_wrong_value_is_refused_in_one_line_that_says_what_is_right(path, value,
     assert complaint in refusal(scenario_of_mapping, changed(path, value))
 
 
-# Recordings: what the sensors see, reproducibly, and the truth beside it
-
-
 AREA = np.pi * 0.01**2
 
 
@@ -245,30 +215,6 @@ def contact_times(recording):
         ((c["start_ns"] - START_NS) * 1e-9, (c["end_ns"] - START_NS) * 1e-9)
         for c in recording.truth["contacts"]
     ]
-
-
-@pytest.mark.parametrize("name", scenario_names())
-def test_scenario_that_comes_along_makes_sound_streams_and_truth(name):
-    scenario = load_scenario(name)
-    assert scenario.name == name and scenario.description
-    recording = simulate(scenario)
-    for stream in (recording.force, recording.displacement):
-        assert np.all(np.diff(stream.stamp_ns) > 0) and np.all(np.isfinite(stream.value))
-    truth = json.loads(json.dumps(recording.truth))
-    assert truth == recording.truth and check(truth["identifier_parameters"])
-    contacts = truth["contacts"]
-    assert {c["site"] for c in contacts} == {s["site"] for s in truth["sites"]}
-    assert np.all(np.diff(np.ravel(contact_times(recording))) > 0.0)
-    # Time in the air tells sites from presses.
-    for before, after in itertools.pairwise(contacts):
-        air = (after["start_ns"] - before["end_ns"]) * 1e-9
-        if after["site"] == before["site"]:
-            assert air < 2.0
-        elif recording.displacement.position is None:
-            assert air > 3.0
-
-
-# Disturbances of a rig: each does what it says, by closed form or by simple physics
 
 
 MODEL = FdenModel(4000.0, 8.0, 0.2)

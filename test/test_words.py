@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from output_helpers import ESTIMATE, summary
 from pipeline_helpers import identified, items_of, summaries_of
+from property_helpers import first
 from rich.console import Console
 
 from fden_ros.advice import FLAGS
@@ -54,16 +55,11 @@ from simulation.scenario import (
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
 
-# The table
-
 
 def printed(*contacts: ContactSummary) -> str:
     console = Console(width=80, record=True, file=Path("/dev/null").open("w"))  # noqa: SIM115
     console.print(contact_table(contacts))
     return console.export_text()
-
-
-# What is no result is not printed as one
 
 
 @pytest.mark.parametrize(
@@ -81,9 +77,6 @@ def test_a_number_as_large_as_its_deviation_is_a_bound_or_nothing(
     value, deviation, is_of_data, words
 ):
     assert result(value, deviation, is_of_data=is_of_data) == words
-
-
-# What a decision took, and how a site compares, in messages and back
 
 
 CLASSES = ClassProbabilities("liver", ("liver", "unknown"), (0.9, 0.1), 0.4)
@@ -126,9 +119,6 @@ def test_the_table_wraps_no_word_at_80_columns(flags):
     assert "1,050 ± 110" in text and "1,600 at 3.7" in text
 
 
-# A contact that has not converged says why, in numbers, and what would help
-
-
 RADIUS = 0.01
 
 
@@ -163,7 +153,7 @@ def test_every_flag_of_an_estimate_has_its_sentence_and_its_remedy():
     assert not list(findings(summary(), config))
 
 
-@pytest.mark.parametrize("delay", [0.03, 0.06])
+@pytest.mark.parametrize("delay", first(0.06, 0.03))
 def test_a_long_delay_converges_once_it_is_stated_and_is_not_wrong_before(delay):
     scenario = Scenario(
         seed=1,

@@ -95,14 +95,8 @@ class RigBag:
         turned = self.streams.orientation
         turn = (0.0, 0.0, 0.0, 1.0) if turned is None else turned[index]
         quaternion = t["geometry_msgs/msg/Quaternion"](*(float(v) for v in turn))
-        vector, point = (
-            t["geometry_msgs/msg/Vector3"](*place),
-            t["geometry_msgs/msg/Point"](*place),
-        )
+        point = t["geometry_msgs/msg/Point"](*place)
         header = self.header(time, "base")
-        if self.kind == "transform":
-            transform = t["geometry_msgs/msg/Transform"](vector, quaternion)
-            return t["geometry_msgs/msg/TransformStamped"](header, "tool", transform)
         if self.kind == "xarm":
             pose = np.array([*(1e3 * v for v in place), 0.0, 0.0, 0.0], dtype=np.float32)
             zeros = np.zeros(6, dtype=np.float32)

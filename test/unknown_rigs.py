@@ -11,7 +11,6 @@ and one lags the other. Nothing is shared with the findings.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -438,8 +437,6 @@ def _stepped(values: Array, step: float) -> Array:
     return values if step == 0.0 else np.asarray(step * np.round(values / step))
 
 
-# What the findings are worth
-
 _AXIS_LIMIT = math.radians(2.0)
 #: The 95 % interval of an error in one direction, and of one in two, in deviations.
 _ONE, _TWO = 1.96, 2.4477
@@ -501,11 +498,7 @@ def _numbers(
         # What is too small to measure is stated as a bound: only its interval counts.
         is_bound = compliance.deviation > _BOUND * abs(compliance.value)
         yield "compliance", truth.compliance, math.inf if is_bound else 0.1 * truth.compliance
-    axis, bias = findings["force axis"], findings["force bias"]
+    axis = findings["force axis"]
     if axis.claim and not (truth.mass and not truth.turns):
         along = np.atleast_1d(np.array(axis.value))
-        if bias.claim:
-            first, last = map(float, re.findall(r"[\d.]+(?= to| s,)", bias.evidence)[:2])
-            middle = 0.5 * (first + last)
-            yield "force bias", float((truth.bias + truth.drift * middle) @ along), math.inf
         yield "force drift", float(truth.drift @ along), math.inf
