@@ -35,7 +35,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.plausibility import Plausibility
 from fden_ros.core.site import Learned, Site
-from fden_ros.core.streams import NANOSECONDS, force_at_limit
+from fden_ros.core.streams import NANOSECONDS, Reason
 
 #: Largest deviation of ln N/m by the law.
 _MOST_SPREAD = 0.5
@@ -71,7 +71,7 @@ class Account:
         self._sample_count = 0
         self._rejected_before = common.rejected.total()
         self._rejected_after: int | None = None
-        self._at_limit_before = force_at_limit(common.rejected)
+        self._at_limit_before = _at_limit(common.rejected)
 
     @property
     def flags(self) -> Flag:
@@ -120,7 +120,7 @@ class Account:
 
     def see_missing(self) -> None:
         """Flag it if the force's sensor was at its end, or stuck, where samples are missing."""
-        if force_at_limit(self._common.rejected) > self._at_limit_before:
+        if _at_limit(self._common.rejected) > self._at_limit_before:
             self._own_flags |= Flag.SATURATED
 
     def leave(self) -> None:
@@ -307,3 +307,8 @@ def apparent_stiffness_of(
         return None
     value = math.exp(found[0])
     return ApparentStiffness(value, value * math.sqrt(found[1]), time)
+
+
+def _at_limit(rejected: Counter[str]) -> int:
+    """Return how many forces were rejected because the sensor was stuck or at its end."""
+    return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]

@@ -9,7 +9,6 @@ from fden_ros.core.streams.guard import (
     USUAL_SAMPLES,
     Resolution,
     StreamGuard,
-    force_at_limit,
     gap_before,
 )
 from fden_ros.core.streams.rotation import (
@@ -52,7 +51,6 @@ __all__ = [
     "ToolWeight",
     "Transform",
     "Vector",
-    "force_at_limit",
     "gap_before",
     "lateral_distance",
     "normalised",

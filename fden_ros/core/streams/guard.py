@@ -42,11 +42,6 @@ USUAL_SAMPLES = 32
 _LEVER = 0.1
 
 
-def force_at_limit(rejected: Counter[str]) -> int:
-    """Return how many forces were rejected because the sensor was stuck or at its end."""
-    return rejected[f"force.{Reason.STUCK}"] + rejected[f"force.{Reason.OUT_OF_RANGE}"]
-
-
 class Resolution:
     """The step of a signal whose changes are all whole numbers of it."""
 
