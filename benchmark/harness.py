@@ -13,17 +13,23 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import json
 import math
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as Printed
 
 from benchmark.score import Share
 from fden_ros.errors import InputError
@@ -33,14 +39,13 @@ Result = TypeVar("Result")
 
 #: Names the folder with measured tests by default.
 DATA_VARIABLE = "FDEN_DATA"
-#: Default number of processes.
-PROCESSES = 2
+#: Of a pool.
+PROCESSES = os.cpu_count() or 1
 #: Columns of a table that goes into a file.
 _WIDTH = 200
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(NamedTuple):
     """One figure and its target; `met` is None where this run cannot decide."""
 
     name: str
@@ -67,12 +72,8 @@ def within(
     if not math.isfinite(value):
         return Goal(name, None, words, None)
     least, largest = (value, value) if interval is None else interval
-    met: bool | None = None
-    if low <= least and largest <= high:
-        met = True
-    elif largest < low or least > high:
-        met = False
-    return Goal(name, float(value), words, met)
+    is_inside, is_beyond = low <= least and largest <= high, largest < low or least > high
+    return Goal(name, float(value), words, bool(is_inside) if is_inside or is_beyond else None)
 
 
 def at_most(
@@ -92,11 +93,6 @@ def few(name: str, share: Share, limit: float) -> Goal:
     return at_most(name, share.value, limit, share.interval() if share.whole else None)
 
 
-def worst(name: str, values: Iterable[float], limit: float) -> Goal:
-    """Return the goal of a largest value among those that were measured."""
-    return at_most(name, max((v for v in values if math.isfinite(v)), default=math.nan), limit)
-
-
 class Table(NamedTuple):
     """Rows of figures: the name of each, and its cells by column."""
 
@@ -112,28 +108,25 @@ class Report(NamedTuple):
 
     def json_object(self, benchmark: str, quick: bool) -> dict[str, Any]:
         """Return what ``--json`` prints; numbers that are not finite become null."""
-        goals = [asdict(goal) for goal in self.goals]
+        goals = [goal._asdict() for goal in self.goals]
         figures = {name: _plain(table.rows) for name, table in self.tables.items()}
         return {"benchmark": benchmark, "quick": quick, "goals": goals, "figures": figures}
 
 
 def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
+    value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True)
 class Benchmark:
     """The arguments of a benchmark; seeds are fixed, and nothing is printed."""
 
-    #: From arguments: `cases`, `contacts` a number with `numbers`.
+    #: From arguments: `cases`, `contacts` a number with `numbers`
     run: Callable[[argparse.Namespace], Report]
     epilog: str  #: of its help
     cases: Mapping[str, Any] = field(default_factory=dict)  #: all of them by name
@@ -157,22 +150,17 @@ class Benchmark:
             add("--contacts", type=int, metavar="N", help=words)
             words = "number of the first of them, which is its seed (default: 0)"
             add("--first", type=int, default=0, metavar="N", help=words)
-            add("--jobs", type=int, default=PROCESSES, metavar="N", help="processes")
         if self.more is not None:
             self.more(parser)
 
     def resolve(self, args: argparse.Namespace) -> None:
-        """Replace the names in the arguments by their objects.
-
-        Raises
-        ------
-        InputError
-            If there is no such case, or a number is out of range.
-        """
+        """Replace the names in the arguments by their objects, or say what is wrong with them."""
+        if self.data and (args.data is None or not args.data.is_dir()):
+            given = "no data" if args.data is None else f"{args.data}: no such folder"
+            raise InputError(f"{given}; name the one with the tables, or set {DATA_VARIABLE}")
         if self.cases:
-            names = self.quick if args.quick and self.quick else list(self.cases)
-            if args.cases is not None:
-                names = args.cases.split(",")
+            usual = self.quick if args.quick and self.quick else list(self.cases)
+            names = usual if args.cases is None else args.cases.split(",")
             if unknown := [name for name in names if name not in self.cases]:
                 there = ", ".join(self.cases)
                 raise InputError(f"there is no case {unknown[0]!r}; there are {there}")
@@ -180,58 +168,39 @@ class Benchmark:
         if self.contacts[0]:
             if args.contacts is None:
                 args.contacts = self.contacts[1 if args.quick else 0]
-            if args.contacts < 1 or args.jobs < 1 or args.first < 0:
-                raise InputError("--contacts and --jobs must be at least 1, --first not negative")
+            if args.contacts < 1 or args.first < 0:
+                raise InputError("--contacts must be at least 1, --first not negative")
             args.numbers = range(args.first, args.first + args.contacts)
 
 
 def measured(
-    function: Callable[..., Result],
-    tasks: Sequence[tuple[Any, ...]],
-    *shared: object,
-    jobs: int | None = None,
-    what: str = "contacts",
+    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], what: str = "contacts"
 ) -> list[Result]:
-    """Return the results of a function for all tasks, in their order.
+    """Return the results of a function of a module for the arguments of all tasks, in their order.
 
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that a process can be sent its name.
-    tasks : sequence of tuple
-        The first arguments of each call.
-    *shared
-        The last arguments, the same for all.
-    jobs : int, optional
-        Processes, by default :data:`PROCESSES`; 1: this one.
-    what : str
-        Label of the progress bar.
+    They come from a pool of processes; `what` is the label of the progress bar.
     """
-    results: dict[int, Result] = {}
-    jobs = jobs or PROCESSES
-    with progress(what, len(tasks)) as show:
-        if jobs == 1:
-            for index, task in enumerate(tasks):
-                results[index] = function(*task, *shared)
-                show(len(results))
-        else:
-            pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-            try:
-                futures = {pool.submit(function, *t, *shared): i for i, t in enumerate(tasks)}
-                for future in as_completed(futures):
-                    results[futures[future]] = future.result()
-                    show(len(results))
-            finally:
-                pool.shutdown(cancel_futures=True)
-    return [results[index] for index in range(len(tasks))]
+    arguments = list(zip(*tasks, strict=True))
+    results: list[Result] = []
+    with contextlib.ExitStack() as stack:
+        found: Iterator[Result] = map(function, *arguments)
+        if PROCESSES > 1:
+            spawn = multiprocessing.get_context("spawn")
+            pool = stack.enter_context(ProcessPoolExecutor(PROCESSES, spawn))
+            found = pool.map(function, *arguments)
+        show = stack.enter_context(progress(what, len(tasks)))
+        for result in found:
+            results.append(result)
+            show(len(results))
+    return results
 
 
 def by_case(
-    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], *shared: object, **how: Any
+    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], what: str = "contacts"
 ) -> dict[Any, list[Result]]:
     """Return the same by the first argument of each task, which names its case."""
     found: dict[Any, list[Result]] = {}
-    for task, result in zip(tasks, measured(function, tasks, *shared, **how), strict=True):
+    for task, result in zip(tasks, measured(function, tasks, what), strict=True):
         found.setdefault(task[0], []).append(result)
     return found
 
@@ -241,15 +210,12 @@ def by_case(
 
 def main(args: argparse.Namespace) -> int:
     """Measure, print and write; return the exit code."""
-    from rich.console import Console
-
     benchmark: Benchmark = importlib.import_module(f"benchmark.{args.benchmark}").BENCHMARK
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{args.output}: {error.strerror}; name a folder for the results with -o"
-        ) from error
+        words = f"{args.output}: {error.strerror}; name a folder for the results with -o"
+        raise InputError(words) from error
     benchmark.resolve(args)
     report = benchmark.run(args)
     result = report.json_object(args.benchmark, args.quick)
@@ -264,8 +230,8 @@ def main(args: argparse.Namespace) -> int:
         console.width = _WIDTH
     answers = {True: "met", False: "missed", None: "undecided"}
     goals = {
-        goal.name: {"measured": goal.value, "goal": goal.goal, "": answers[goal.met]}
-        for goal in report.goals
+        name: {"measured": value, "goal": goal, "": answers[met]}
+        for name, value, goal, met in report.goals
     }
     for table in (*report.tables.values(), Table("Goals", goals)):
         console.print(_printed(table))
@@ -273,11 +239,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _printed(table: Table) -> Any:
-    from rich.box import MARKDOWN
-    from rich.markup import escape
-    from rich.table import Table as Printed
-
+def _printed(table: Table) -> Printed:
     printed = Printed(title=table.title, box=MARKDOWN)
     printed.add_column("", no_wrap=True)
     columns = dict.fromkeys(column for row in table.rows.values() for column in row)
@@ -292,10 +254,9 @@ def words_of(value: Any) -> str:
     """Return a cell of a table: three digits of a number, – where nothing was measured."""
     if isinstance(value, Share):
         return f"{value.part} of {value.whole}"
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return " ".join(words_of(item) for item in value)
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    value = _plain(value)
+    if isinstance(value, list):
+        return " ".join(map(words_of, value))
+    if value is None:
         return "–"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

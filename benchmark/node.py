@@ -27,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,7 +49,7 @@ examples:
 
 The last denies the node a negative nice; *nice* is what it has. Without --busy the figures hold
 for a machine that does nothing else. CPU in cores, latency in ms from stamp to
-arrival at the sink, memory in MB: medians of the turns. *Reported*: of the lost pairs those that
+arrival at the sink, memory in MB: of each turn. *Reported*: of the lost pairs those that
 the process itself counted. *late*: of a 100 Hz controller's ticks those with an estimate older
 than 100 ms [%].
 """
@@ -70,7 +70,7 @@ _BLOCK = 10
 _STAMP = struct.Struct("<iI")
 _BODY = 4
 _CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
-_QUANTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
+_QUANTILES = {"p50": 50.0, "p99": 99.0, "max": 100.0}
 
 NODE, RELAY = "node", "relay"
 _NAMESPACES = {NODE: "/node", RELAY: "/relay"}
@@ -80,15 +80,12 @@ _TICK, _LATE = 10_000_000, 100_000_000
 _BURNERS = 2
 
 
-class Turn(NamedTuple):
-    """One stretch of messages for one of the processes under test."""
-
-    what: str
-    seconds: float
+#: Lets Linux kill the calling process when its parent ends, in whatever way.
+end_with_parent = functools.partial(live.end_with_parent, signal.SIGKILL)
 
 
 class _Watched(NamedTuple):
-    """The record of a process during a turn."""
+    """The record of a process during a turn: one stretch of messages for it."""
 
     sent: int
     begin_ns: int
@@ -99,20 +96,16 @@ class _Watched(NamedTuple):
 
 
 def _more(parser: argparse.ArgumentParser) -> None:
-    words = f"for each at 1 kHz, in {_ROUNDS} turns (default: {_SECONDS:g})"
-    parser.add_argument("--seconds", type=float, metavar="S", help=words)
     words = f"next to {_BURNERS} processes that only compute"
     parser.add_argument("--busy", action="store_true", help=words)
 
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; the exit code does not depend on the result."""
-    seconds = args.seconds or (_QUICK_SECONDS if args.quick else _SECONDS)
-    plan = _ROUNDS * [Turn(what, seconds / _ROUNDS) for what in (NODE, RELAY)]
-    with progress("measuring", len(plan)) as show:
-        rows = measure(plan, show, burners=_BURNERS * args.busy)
+    seconds, burners = _QUICK_SECONDS if args.quick else _SECONDS, _BURNERS * args.busy
+    rows = measure(_ROUNDS * [NODE, RELAY], seconds / _ROUNDS, burners)
     load = f"load {os.getloadavg()[0]:.1f} at the end"
-    title = f"{os.cpu_count()} cores, {_BURNERS * args.busy} busy processes, {load}"
+    title = f"{os.cpu_count()} cores, {burners} busy processes, {load}"
     shown = {name: row | {"memory": row["memory"][-1]} for name, row in rows.items()}
     return Report(goals_of(rows, is_busy=args.busy), {"turns": Table(title, shown)})
 
@@ -120,10 +113,6 @@ def run(args: argparse.Namespace) -> Report:
 def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
     """Compare the node with the relay, on an idle machine or next to busy processes."""
     node, relay = (rows[what] for what in (NODE, RELAY))
-
-    def ratio(key: str) -> float:
-        return float(np.median(np.array(node[key]) / np.array(relay[key])))
-
     later = node["memory"][_MEMORY_FROM:]
     grown = max(later) - later[0] if len(later) > 10 else float("nan")
     most_late = (0.5 if node["nice"] < 0 else 2.0) if is_busy else 0.0
@@ -131,10 +120,11 @@ def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
     if is_busy:
         return [late]
     above = float(np.median(np.array(node["p99"]) - np.array(relay["p99"])))
+    ratio = float(np.median(np.array(node["CPU"]) / np.array(relay["CPU"])))
     most = max(node["max"]) - max(relay["max"])
     return [
         at_most("pairs lost at 1 kHz", float(node["lost"]), 0.0),
-        at_most("CPU over relay's", ratio("CPU"), 1.6),
+        at_most("CPU over relay's", ratio, 1.6),
         at_most("p99 latency above the relay's [ms]", above, 5.0),
         at_most("largest latency above the relay's [ms]", most, 30.0),
         at_most("memory grown after a minute [MB]", grown, 2.0),
@@ -145,55 +135,52 @@ def goals_of(rows: dict[str, dict[str, Any]], *, is_busy: bool) -> list[Goal]:
 # The turns
 
 
-def measure(
-    plan: Sequence[Turn], show: Callable[[float], None] = lambda done: None, *, burners: int = 0
-) -> dict[str, dict[str, Any]]:
-    """Run source, sink and the processes between them; return the figures of each."""
+def measure(plan: Sequence[str], seconds: float, burners: int) -> dict[str, dict[str, Any]]:
+    """Give the processes their turns, of some seconds each; return the figures of each."""
     environment = dict(os.environ)
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     environment.setdefault("ROS_DOMAIN_ID", str(40 + os.getpid() % 50))
     root = str(Path(__file__).resolve().parents[1])
     environment["PYTHONPATH"] = os.pathsep.join([root, environment.get("PYTHONPATH", "")])
     me = [sys.executable, "-m", "benchmark.node"]
-    turns = json.dumps([(_NAMESPACES[t.what], t.seconds) for t in plan])
+    turns = json.dumps([(_NAMESPACES[what], seconds) for what in plan])
     with contextlib.ExitStack() as stack:
-        sink = stack.enter_context(_process([*me, "sink"], environment))
+
+        def started(*command: str) -> Any:
+            return stack.enter_context(_process(command, environment))
+
+        sink = started(*me, "sink")
         for _ in range(burners):
-            command = [sys.executable, "-c", "while True: pass"]
-            stack.enter_context(_process(command, environment))
-        tested: dict[str, Any] = {}
-        for what in dict.fromkeys(turn.what for turn in plan):
-            own = [sys.executable, "-m", "fden_ros.nodes.programs", "identifier"]
-            command = [*own, *_NODE_ARGUMENTS] if what == NODE else [*me, "relay"]
-            tested[what] = stack.enter_context(_process(command, environment))
-        sender = stack.enter_context(_process([*me, "source", "--turns", turns], environment))
-        watched = []
-        for turn in plan:
-            watched.append(_watch(turn, tested[turn.what].pid, sender))
-            show(len(watched))
+            started(sys.executable, "-c", "while True: pass")
+        programs = [sys.executable, "-m", "fden_ros.nodes.programs"]
+        tested = {
+            NODE: started(*programs, "identifier", *_NODE_ARGUMENTS),
+            RELAY: started(*me, "relay"),
+        }
+        sender = started(*me, "source", "--turns", turns)
+        watched: dict[str, list[_Watched]] = {what: [] for what in tested}
+        show = stack.enter_context(progress("measuring", len(plan)))
+        for count, what in enumerate(plan, start=1):
+            watched[what].append(_watch(seconds, tested[what].pid, sender))
+            show(count)
         _ended(sender)
-        for process in tested.values():
+        for process in (*tested.values(), sink):
             process.send_signal(signal.SIGINT)
-            _ended(process)
-        sink.send_signal(signal.SIGINT)
-        heard = json.loads(_ended(sink))
+            last = _ended(process)
+    heard = json.loads(last)
     return {
-        what: _row(
-            [w for t, w in zip(plan, watched, strict=True) if t.what == what],
-            heard["arrivals"][what],
-            heard["counts"][what],
-        )
-        for what in tested
+        what: _row(own, heard["arrivals"][what], heard["counts"][what])
+        for what, own in watched.items()
     }
 
 
-def _watch(turn: Turn, pid: int, sender: Any) -> _Watched:
+def _watch(seconds: float, pid: int, sender: Any) -> _Watched:
     """Wait for a turn, and return the use of resources of the process."""
     begin_ns = json.loads(sender.stdout.readline())["begin_ns"]
     memory = [_memory_mb(pid)]
     time.sleep(_WARM_UP)
     begin, before = time.monotonic(), _cpu_seconds(pid)
-    while (left := begin + turn.seconds - _WARM_UP - 0.2 - time.monotonic()) > 0.0:
+    while (left := begin + seconds - _WARM_UP - 0.2 - time.monotonic()) > 0.0:
         time.sleep(min(1.0, left))
         memory.append(_memory_mb(pid))
     cpu = (_cpu_seconds(pid) - before) / (time.monotonic() - begin)
@@ -211,10 +198,8 @@ def _row(turns: Sequence[_Watched], arrived: Any, counts: Any) -> dict[str, Any]
     latencies = [_latency_ms(arrivals, turn) for turn in turns]
     sent = sum(turn.sent for turn in turns)
     return {
-        "sent": sent,
         "lost": max(sent - came.get("pairs", 0) - came.get("rejected", 0), 0),
         "reported": came.get("lost", 0),
-        "published": sum(latency.size for latency in latencies),
         "CPU": [turn.cpu for turn in turns],
         **{
             name: [float(np.percentile(latency, q)) for latency in latencies]
@@ -285,11 +270,6 @@ def _process(command: Sequence[str], environment: dict[str, str]) -> Iterator[An
             process.communicate()
 
 
-def end_with_parent() -> None:
-    """Let Linux kill the calling process when its parent ends, in whatever way."""
-    live.end_with_parent(signal.SIGKILL)
-
-
 def _ended(process: Any) -> str:
     """Wait for a process; return its last line."""
     output, _ = process.communicate(timeout=60.0)
@@ -332,12 +312,10 @@ def _source(turns: Sequence[tuple[str, float]]) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("source")
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    topics = {"displacement": JointState, "force": WrenchStamped}
     publishers = {
-        namespace: [
-            node.create_publisher(WrenchStamped, f"{namespace}/force", qos),
-            node.create_publisher(JointState, f"{namespace}/displacement", qos),
-        ]
-        for namespace in dict.fromkeys(turn[0] for turn in turns)
+        namespace: [node.create_publisher(t, f"{namespace}/{n}", qos) for n, t in topics.items()]
+        for namespace in _NAMESPACES.values()
     }
     while not all(p.get_subscription_count() for pair in publishers.values() for p in pair):
         time.sleep(0.02)
@@ -355,7 +333,7 @@ def _source(turns: Sequence[tuple[str, float]]) -> None:
                 stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
             wrench.wrench.force.z = forces[k % len(forces)]
             joint.position = [depths[k % len(depths)]]
-            force, displacement = publishers[namespace]
+            displacement, force = publishers[namespace]
             displacement.publish(joint)
             force.publish(wrench)
         done = {"sent": count, "end_ns": time.time_ns()}

@@ -8,8 +8,7 @@ without a stated stiffness is cut at strains, and its curve's own slope there is
 
 *Given*: a value was given. *Ratio*: to the truth, median and 5th to 95th percentile. *Rank*: with
 the modulus, over all tests and in each family, the first word of a phantom's name up to _.
-*Repeats*: scatter of the logarithm within a phantom, over the stated deviation. *Error* and *half
-width*, two stated deviations: in percent of the truth. *In 2 sd*: part of the truths within two.
+*Half width*: two stated deviations in percent of the truth. *In 2 sd*: part of the truths within.
 
 The others learn by least squares that forget with a time constant of 1 s, which makes them better:
 Kelvin-Voigt, :math:`F = K x + B \dot x`, and Hunt-Crossley, linear in the logarithm,
@@ -22,37 +21,35 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmark import harness
-from benchmark.harness import Benchmark, Goal, Report, Table, at_least, at_most
-from benchmark.score import mean_of, rms, share
-from benchmark.trial import fed
+from benchmark.harness import Benchmark, Goal, Report, Table, at_least, measured
+from benchmark.real import rows_of_tests
+from benchmark.score import share
+from benchmark.trial import begun, fed
 from fden_ros.core.arrays import Array
-from fden_ros.core.outputs import ContactSummary, Output, TissueState
-from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, pipeline_config
 from simulation.simulate import KNOWN_RIG
 
-EPILOG = "examples:\n  fden benchmark public recordings/ --strains 0.15\n"
+EPILOG = "examples:\n  fden benchmark public recordings/ --quick\n"
 
 COLUMNS = ("time_s", "force_N", "displacement_mm")
+_KNOWN = {"test", "area_m2", "thickness_m"}
+#: Where compressions are cut [1].
+STRAINS = (0.15, 0.3)
 _QUICK_TESTS = 6
 _HALF_WINDOW = 2.5e-4  #: of a curve's own slope [m]
 #: Shallower samples [m] are left out by Hunt-Crossley; bound of its exponential.
 _LEAST_DEPTH, _LARGEST_LOG = 1e-5, 50.0
 _FORGETTING_TIME = 1.0
-#: Samples that are used at most [1], the size of a step in parts of the depth [1], and times in
-#: the step of 0.1 s [s].
-_MOST_SAMPLES, _STEP, _AT_STEP = 500, 1e-4, np.array([0.01, 0.05, 0.1])
+#: Samples that are used at most [1], and the size of a step in parts of the depth [1].
+_MOST_SAMPLES, _STEP = 500, 1e-4
 #: A stiffness and its standard deviation [N/m]; NaN: not given.
 Answer = tuple[float, float]
 
@@ -64,15 +61,8 @@ class Samples(NamedTuple):
     depths: Array  #: into the tissue [m]
     forces: Array  #: [N]
 
-    @property
-    def velocities(self) -> Array:
-        """Backward difference quotients [m/s], the first one as the second."""
-        rates: Array = np.diff(self.depths) / np.diff(self.times)
-        return np.append(rates[:1], rates)
 
-
-@dataclass(frozen=True)
-class Press:
+class Press(NamedTuple):
     """What an estimator is given, and what is known of the answer."""
 
     group: str  #: whose figures are one row
@@ -85,46 +75,31 @@ class Press:
     is_over: bool  #: the probe has left: the answer is that of the deepest point
 
 
-def read_presses(
-    folder: Path | None, strains: Sequence[float], most: int | None = None
-) -> list[Press]:
+def read_presses(folder: Path, most: int | None = None) -> list[Press]:
     """Return the presses of every table in a folder, `most` tests of each."""
-    if folder is None:
-        raise InputError(
-            f"no data: name the folder with the tables, or set {harness.DATA_VARIABLE}"
-        )
     found: list[Press] = []
     for path in sorted(folder.glob("*.csv")):
         truths = path.with_name(f"{path.stem}_truth.csv")
         if truths.exists():
-            found += _presses_of(path, truths, strains, most)
+            tests = rows_of_tests(path, ("test",), COLUMNS)
+            with truths.open(encoding="utf-8", newline="") as file:
+                known = [row for row in csv.DictReader(file) if row.keys() >= _KNOWN]
+            truth = {row["test"]: row for row in known if (row["test"],) in tests}
+            names = sorted(truth)
+            every = max(len(names) // most, 1) if most else 1
+            for name in names[::every][:most]:
+                try:
+                    found += _press(name, truth[name], tests[name,])
+                except ValueError as error:
+                    raise InputError(f"{truths}: {name}: {error}") from None
     if not found:
-        raise InputError(f"{folder}: no table with a table of its truths, NAME_truth.csv")
+        columns = ", ".join(("test", *COLUMNS))
+        words = f"no table of {columns} with {', '.join(sorted(_KNOWN))} in NAME_truth.csv"
+        raise InputError(f"{folder}: {words}")
     return found
 
 
-def _presses_of(
-    path: Path, truths: Path, strains: Sequence[float], most: int | None
-) -> Iterator[Press]:
-    rows: dict[str, list[list[float]]] = defaultdict(list)
-    try:
-        with open(truths, encoding="utf-8", newline="") as file:
-            known = {row["test"]: row for row in csv.DictReader(file)}
-        with open(path, encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                rows[row["test"]].append([float(row[name]) for name in COLUMNS])
-        names = sorted(rows.keys() & known.keys())
-        every = max(len(names) // most, 1) if most else 1
-        for name in names[::every][:most]:
-            yield from _press(name, known[name], np.array(rows[name]), strains)
-    except (KeyError, ValueError) as error:
-        words = f"not the columns test, {', '.join(COLUMNS)}, or area_m2, thickness_m in {truths}"
-        raise InputError(f"{path}: {words}: {error}") from None
-
-
-def _press(
-    name: str, truth: Mapping[str, str], table: Array, strains: Sequence[float]
-) -> Iterator[Press]:
+def _press(name: str, truth: Mapping[str, str], table: Array) -> Iterator[Press]:
     times, forces, depths = table[:, 0], table[:, 1], 1e-3 * table[:, 2]
     area, thickness = float(truth["area_m2"]), float(truth["thickness_m"])
     phantom, modulus = truth.get("phantom") or name, float(truth.get("modulus_Pa") or math.nan)
@@ -133,7 +108,7 @@ def _press(
         group, seen = "N/m where it was deepest", Samples(times, depths, forces)
         yield Press(group, seen, float(stated), *known, is_over=True)
         return
-    for strain in strains:
+    for strain in STRAINS:
         depth = strain * thickness
         if depths.max() >= depth + _HALF_WINDOW:
             about = np.abs(depths - depth) <= _HALF_WINDOW
@@ -164,10 +139,10 @@ def _fden(press: Press) -> Answer:
         "origin.source": "given",
         "plausibility.max_force": 1e6,
     }
-    outputs: list[Output] = []
-    pipeline = Pipeline(pipeline_config(check(parameters)), outputs.append)
+    pipeline, outputs = begun(parameters)
     times, depths, forces = press.seen
-    deque(fed(pipeline, times, forces, depths - depths[0]), maxlen=0)
+    for _ in fed(pipeline, times, forces, depths - depths[0]):
+        pass
     pipeline.finish()
     kinds = ContactSummary if press.is_over else (TissueState, ContactSummary)
     known = [o.apparent_stiffness for o in outputs if isinstance(o, kinds) and o.contact_id]
@@ -175,35 +150,37 @@ def _fden(press: Press) -> Answer:
     return (found.value, found.sd) if found is not None else (math.nan, math.nan)
 
 
-#: From what is seen, and times and depths of what is to come, to its force [N].
-Peer = Callable[[Samples, Samples], Array]
+#: From what is seen, its depths and their velocities, to the force of a depth at rest [N].
+Peer = Callable[[Samples, Array], Callable[[float], float]]
 
 
-def kelvin_voigt(seen: Samples, ahead: Samples) -> Array:
-    """Predict F = K x + B dx/dt."""
-    design = np.column_stack([seen.depths, seen.velocities])
-    stiffness, damping = _weighted(design, seen.forces, seen.times)
-    result: Array = stiffness * ahead.depths + damping * ahead.velocities
-    return result
+def kelvin_voigt(seen: Samples, velocities: Array) -> Callable[[float], float]:
+    """Learn F = K x + B dx/dt."""
+    design = np.column_stack([seen.depths, velocities])
+    stiffness, _ = _weighted(design, seen.forces, seen.times)
+    return lambda depth: stiffness * depth
 
 
-def hunt_crossley(seen: Samples, ahead: Samples) -> Array:
-    """Predict Hunt-Crossley, linear in the logarithm."""
+def hunt_crossley(seen: Samples, velocities: Array) -> Callable[[float], float]:
+    """Learn Hunt-Crossley, linear in the logarithm."""
     used = (seen.depths >= _LEAST_DEPTH) & (seen.forces > 0.0)
-    depths, velocities = seen.depths[used], seen.velocities[used]
-    design = np.column_stack([np.ones_like(depths), velocities, np.log(depths)])
-    coefficients = _weighted(design, np.log(seen.forces[used]), seen.times[used])
-    log_stiffness, damping, exponent = coefficients
-    depth = np.log(np.maximum(ahead.depths, _LEAST_DEPTH))
-    static = np.exp(np.clip(log_stiffness + exponent * depth, -_LARGEST_LOG, _LARGEST_LOG))
-    result: Array = static * (1.0 + damping * ahead.velocities)
-    return result
+    depths = seen.depths[used]
+    design = np.column_stack([np.ones_like(depths), velocities[used], np.log(depths)])
+    log_stiffness, _, exponent = _weighted(design, np.log(seen.forces[used]), seen.times[used])
+
+    def force(depth: float) -> float:
+        log_force = log_stiffness + exponent * np.log(max(depth, _LEAST_DEPTH))
+        return float(np.exp(np.clip(log_force, -_LARGEST_LOG, _LARGEST_LOG)))
+
+    return force
 
 
-def _weighted(design: Array, values: Array, times: Array) -> Array:
+def _weighted(design: Array, values: Array, times: Array) -> list[float]:
     """Return the coefficients of least squares that forget."""
     root = np.exp(0.5 * (times - times[-1]) / _FORGETTING_TIME)
-    return np.asarray(np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0])
+    found = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+    coefficients: list[float] = found.tolist()
+    return coefficients
 
 
 def small_step(peer: Peer, seen: Samples) -> float:
@@ -211,13 +188,12 @@ def small_step(peer: Peer, seen: Samples) -> float:
     # Some take the square of the samples.
     every = slice(None, None, -(-seen.times.size // _MOST_SAMPLES))
     seen = Samples(*(values[::-1][every][::-1] for values in seen))
-    times, depth = seen.times[-1] + _AT_STEP, float(seen.depths[-1])
+    # Backward difference quotients, the first one as the second.
+    rates = np.diff(seen.depths) / np.diff(seen.times)
+    force = peer(seen, np.append(rates[:1], rates))
+    depth = float(seen.depths[-1])
     step = _STEP * depth
-    low, high = (
-        peer(seen, Samples(times, np.full(times.size, at), np.zeros(times.size)))[-1]
-        for at in (depth, depth + step)
-    )
-    return float(high - low) / step
+    return (force(depth + step) - force(depth)) / step
 
 
 PEERS: dict[str, Peer] = {"Kelvin-Voigt": kelvin_voigt, "Hunt-Crossley": hunt_crossley}
@@ -225,10 +201,9 @@ PEERS: dict[str, Peer] = {"Kelvin-Voigt": kelvin_voigt, "Hunt-Crossley": hunt_cr
 
 def run(args: argparse.Namespace) -> Report:
     """Measure; return the report."""
-    strains = [float(text) for text in args.strains.split(",")]
-    presses = read_presses(args.data, strains, _QUICK_TESTS if args.quick else None)
+    presses = read_presses(args.data, _QUICK_TESTS if args.quick else None)
     groups: dict[str, dict[str, list[tuple[Press, Answer]]]] = {}
-    found = harness.measured(answers_of, [(press,) for press in presses], what="recordings")
+    found = measured(answers_of, [(press,) for press in presses], "recordings")
     for press, answers in zip(presses, found, strict=True):
         for name, answer in answers.items():
             groups.setdefault(press.group, {}).setdefault(name, []).append((press, answer))
@@ -248,22 +223,18 @@ def row_of(pairs: Sequence[tuple[Press, Answer]]) -> dict[str, Any]:
         return row
     values, sds = np.array([answer for _, answer in given]).T
     truths, moduli = np.array([(press.truth, press.modulus) for press, _ in given]).T
-    phantoms = [press.phantom for press, _ in given]
-    families = np.array([phantom.partition("_")[0] for phantom in phantoms])
+    families = np.array([press.phantom.partition("_")[0] for press, _ in given])
     own = (families == family for family in sorted(set(families)))
-    ratios, off = values / truths, 100.0 * np.abs(values / truths - 1.0)
-    has_sd = bool(np.isfinite(sds).all())
-    return row | {
-        "ratio, median": float(np.median(ratios)),
-        "ratio, 5 to 95 %": np.percentile(ratios, [5.0, 95.0]),
+    row |= {
+        "ratio, median": float(np.median(values / truths)),
+        "ratio, 5 to 95 %": np.percentile(values / truths, [5.0, 95.0]),
         "rank": _rank(values, moduli),
         "in each family": [_rank(values[of], moduli[of]) for of in own],
-        "repeats": _repeats(phantoms, values, sds),
-        "error, median": float(np.median(off)),
-        "error, 90 %": float(np.percentile(off, 90.0)),
-        "half width": float(np.median(200.0 * sds / truths)),
-        "in 2 sd": mean_of(np.abs(values - truths) <= 2.0 * sds) if has_sd else math.nan,
     }
+    if np.isfinite(sds).all():
+        row["half width"] = float(np.median(200.0 * sds / truths))
+        row["in 2 sd"] = float(np.mean(np.abs(values - truths) <= 2.0 * sds))
+    return row
 
 
 def _rank(values: Array, moduli: Array) -> float:
@@ -272,28 +243,11 @@ def _rank(values: Array, moduli: Array) -> float:
     return float(spearmanr(values, moduli).statistic) if is_known else math.nan
 
 
-def _repeats(phantoms: Sequence[str], values: Array, sds: Array) -> float:
-    """Return the scatter of ln N/m within a phantom over its deviations, as a root mean square."""
-    places = np.array(phantoms)
-    off: list[float] = []
-    for own in (places == phantom for phantom in sorted(set(phantoms))):
-        if own.sum() > 1:
-            logs = np.log(np.maximum(values[own], 1e-300))
-            scatter = (logs - logs.mean()) * math.sqrt(own.sum() / (own.sum() - 1.0))
-            off += (scatter / (sds[own] / values[own])).tolist()
-    return float(rms(np.array(off))) if off else math.nan
-
-
 def _goals(group: str, row: Mapping[str, Any]) -> Iterator[Goal]:
     yield at_least(f"{group}: given", row["given"].value, 0.95)
     if math.isfinite(row.get("rank", math.nan)):
         yield at_least(f"{group}: rank with the modulus", row["rank"], 0.97)
         yield at_least(f"{group}: the same in the worst family", min(row["in each family"]), 0.97)
-    yield at_most(f"{group}: repeats", row.get("repeats", math.nan), 2.0)
 
 
-def _more(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--strains", default="0.15,0.3", help="where compressions are cut")
-
-
-BENCHMARK = Benchmark(run, EPILOG, data=True, more=_more)
+BENCHMARK = Benchmark(run, EPILOG, data=True)

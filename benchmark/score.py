@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,7 +25,6 @@ _NOTHING = np.full(3, np.nan)
 _DEVIATIONS, _SIZES = 5.0, np.array([0.03, 0.03, 0.01])
 #: Summaries and states with a flag other than these report a problem.
 _HARMLESS = Flag.INPUT_REJECTED
-_RESAMPLES = 1000
 #: Flags of a tissue that the law does not describe, or that has changed.
 ALARMS = Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED
 
@@ -69,11 +68,6 @@ def warns(flags: Flag) -> bool:
     return bool(flags & ~_HARMLESS)
 
 
-def is_off(error: Array, deviation: Array) -> bool:
-    """Return whether errors of (ln G, ln Gn, alpha) exceed the stated deviations, each (3,)."""
-    return bool(np.any((np.abs(error) > _DEVIATIONS * deviation) & (np.abs(error) > _SIZES)))
-
-
 class Judged(NamedTuple):
     """The summary of one contact, compared with the truth."""
 
@@ -87,7 +81,7 @@ class Judged(NamedTuple):
     @property
     def is_off(self) -> bool:
         """Whether a parameter is off by more than the stated deviation allows."""
-        return is_off(self.error, self.deviation)
+        return bool(np.any(np.abs(self.error) > np.maximum(_DEVIATIONS * self.deviation, _SIZES)))
 
     @property
     def is_undetected(self) -> bool:
@@ -134,18 +128,20 @@ def figures_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     known = [contact for contact in pressed if contact.estimate is not None]
     error = np.array([contact.error for contact in known]).reshape(-1, 3)
     deviation = np.array([contact.deviation for contact in known]).reshape(-1, 3)
+    inside = np.abs(error) <= TWO_SIDED_95 * deviation
+    finite = deviation[np.isfinite(deviation).all(axis=1)]
     return {
         "undetected": Share(sum(c.is_undetected for c in every), sum(o.presses for o in outcomes)),
         "live": total(outcome.claims for outcome in outcomes),
         "error over sd": rms(error / np.maximum(deviation, 1e-12)),
-        "in 95 %": _mean(np.abs(error) <= TWO_SIDED_95 * deviation),
+        "in 95 %": np.mean(inside, axis=0) if len(known) else _NOTHING,
         "changed": share(c.flags & Flag.TISSUE_CHANGED for c in pressed),
         "mismatch": share(c.flags & Flag.MODEL_MISMATCH for c in pressed),
         "live alarm": share(outcome.live & ALARMS for outcome in outcomes),
         "converged": share(c.converged for c in pressed),
         "unflagged": share(c.claims for c in pressed),
         "no estimate": share(c.estimate is None for c in pressed),
-        "sd": median(deviation),
+        "sd": np.median(finite, axis=0) if len(finite) else _NOTHING,
     }
 
 
@@ -157,29 +153,7 @@ def rms(values: Array) -> Array:
     return root
 
 
-def _mean(values: Array) -> Array:
-    return np.mean(values, axis=0) if len(values) else _NOTHING
-
-
 def mean_of(values: Iterable[float]) -> float:
     """Return the mean of the values that are finite; NaN of none."""
     finite = [value for value in values if math.isfinite(value)]
     return float(np.mean(finite)) if finite else math.nan
-
-
-def median(values: Array) -> Array:
-    """Return the median over the rows that are finite, shape (n, k) to (k,)."""
-    values = np.asarray(values, dtype=float)
-    finite = values[np.all(np.isfinite(values), axis=1)] if values.size else values
-    return np.median(finite, axis=0) if finite.size else _NOTHING
-
-
-def bootstrapped(
-    values: Array, transform: Callable[[Any], Any] = lambda mean: mean
-) -> tuple[float, float, float]:
-    """Return the transformed mean and its 95 % interval, by resampling with replacement."""
-    if len(values) < 2:
-        return math.nan, math.nan, math.nan
-    picks = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
-    low, high = np.quantile(transform(values[picks].mean(axis=1)), [0.025, 0.975])
-    return float(transform(values.mean())), float(low), float(high)

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.measured import COLUMNS as HOLD_COLUMNS
 from benchmark.public import COLUMNS as PRESS_COLUMNS
+from benchmark.real import COLUMNS as HOLD_COLUMNS
 from fden_ros.recording.reader import BagReader, decode
 
 Row = Sequence[object]

@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 
-from benchmark.score import Judged, Outcome, judged, share, warns
+from benchmark.score import Judged, Outcome, judged, share
 from fden_ros.core.arrays import Array
-from fden_ros.core.config import PipelineConfig
 from fden_ros.core.outputs import ContactSummary, Flag, Output, Status, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import NANOSECONDS, Position, Synchronizer
+from fden_ros.parameters import check, pipeline_config
+from fden_ros.simulation import FdenModel
 from simulation.simulate import START_NS, Recording
+
+Kind = TypeVar("Kind", bound=Output)
 
 #: Presses are apart by at least this [s]; contact lost for a shorter time is the same press.
 _SHORTEST_AIR = 0.15
@@ -28,6 +32,26 @@ _SLACK = 0.05
 def elapsed(stamp_ns: int) -> float:
     """Return the time since the beginning of a simulated recording [s]."""
     return (stamp_ns - START_NS) / NANOSECONDS
+
+
+def log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
+    """Return a number whose logarithm is uniform between those of two."""
+    return math.exp(generator.uniform(math.log(low), math.log(high)))
+
+
+def soft_tissue(generator: np.random.Generator, softest: float = 500.0) -> FdenModel:
+    """Return a tissue with G up to 8,000, Gn 6 to 10 and alpha 0.08 to 0.32."""
+    return FdenModel(
+        log_uniform(generator, softest, 8000.0),
+        float(generator.uniform(6.0, 10.0)),
+        float(generator.uniform(0.08, 0.32)),
+    )
+
+
+def begun(parameters: Mapping[str, object]) -> tuple[Pipeline, list[Output]]:
+    """Return a new pipeline, and the list that its outputs go into."""
+    outputs: list[Output] = []
+    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
 
 
 def fed(
@@ -59,7 +83,7 @@ def samples_of(recording: Recording) -> Iterator[tuple[bool, int, float, Positio
 
 
 def feed(sink: Pipeline | Synchronizer, recording: Recording) -> None:
-    """Feed all samples of a simulated recording by stamp."""
+    """Feed all samples of a recording by stamp."""
     for is_force, stamp_ns, value, place in samples_of(recording):
         if is_force:
             sink.add_force(stamp_ns, value)
@@ -67,25 +91,24 @@ def feed(sink: Pipeline | Synchronizer, recording: Recording) -> None:
             sink.add_displacement(stamp_ns, value, place)
 
 
-def through(recording: Recording, config: PipelineConfig) -> tuple[Pipeline, list[Output]]:
+def through(
+    recording: Recording, parameters: Mapping[str, object]
+) -> tuple[Pipeline, list[Output]]:
     """Return the pipeline after a recording, and all of its outputs."""
-    outputs: list[Output] = []
-    pipeline = Pipeline(config, outputs.append)
+    pipeline, outputs = begun(parameters)
     feed(pipeline, recording)
     pipeline.finish()
     return pipeline, outputs
 
 
+def last_of(kind: type[Kind], outputs: Sequence[Output]) -> Kind | None:
+    """Return the last output of a kind."""
+    return next((output for output in reversed(outputs) if isinstance(output, kind)), None)
+
+
 def last_summaries(outputs: Sequence[Output]) -> dict[int, ContactSummary]:
     """Return the last summary of each contact: it may withdraw an earlier one."""
     return {o.contact_id: o for o in outputs if isinstance(o, ContactSummary)}
-
-
-def truth_of(recording: Recording, number: int = 0) -> Array:
-    """Return the true (ln G, ln Gn, alpha) of a site, shape (3,)."""
-    site = recording.truth["sites"][number]
-    g, g_n = site["linear_stiffness"], site["nonlinear_stiffness"]
-    return np.array([math.log(g), math.log(g_n), site["fractional_order"]])
 
 
 def presses_of(recording: Recording) -> list[tuple[float, float]]:
@@ -94,29 +117,26 @@ def presses_of(recording: Recording) -> list[tuple[float, float]]:
     for contact in recording.truth["contacts"]:
         start, end = elapsed(contact["start_ns"]), elapsed(contact["end_ns"])
         if presses and start - presses[-1][1] < _SHORTEST_AIR:
-            presses[-1] = (presses[-1][0], end)
-        else:
-            presses.append((start, end))
+            start, _ = presses.pop()
+        presses.append((start, end))
     return presses
 
 
 def outcome_of(recording: Recording, outputs: Sequence[Output]) -> Outcome:
-    """Judge a pipeline's results for a recording."""
-    truth, presses = truth_of(recording), presses_of(recording)
-    states = [output for output in outputs if isinstance(output, TissueState)]
-    live = Flag.NONE
-    claims = []
-    for state in states:
-        live |= state.flags
-        is_claim = state.status is Status.CONVERGED and not warns(state.flags)
-        if state.estimate is not None and is_claim:
-            claims.append(judged(state.estimate, truth, True, state.flags).is_off)
-    return Outcome(
-        presses=len(presses),
-        contacts=tuple(_judged(s, truth, presses) for s in last_summaries(outputs).values()),
-        claims=share(claims),
-        live=live,
-    )
+    """Judge a pipeline's results for a recording, by the tissue of its first site."""
+    site, presses = recording.truth["sites"][0], presses_of(recording)
+    names = ("linear_stiffness", "nonlinear_stiffness")
+    truth = np.array([*(math.log(site[name]) for name in names), site["fractional_order"]])
+    live, claims = Flag.NONE, []
+    for state in outputs:
+        if isinstance(state, TissueState):
+            live |= state.flags
+            found = judged(state.estimate, truth, state.status is Status.CONVERGED, state.flags)
+            if found.estimate is not None and found.claims:
+                claims.append(found.is_off)
+    summaries = last_summaries(outputs).values()
+    contacts = tuple(_judged(summary, truth, presses) for summary in summaries)
+    return Outcome(len(presses), contacts, share(claims), live)
 
 
 def _judged(

@@ -164,6 +164,17 @@ def pieces_of(move: Move, model: FdenModel) -> Iterator[Piece]:
             yield Piece(move, start, stop, model.branch(middle))
 
 
+def motion_of(moves: Sequence[Move], times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return strain and its rate at ascending `times` (n,) from the first move on."""
+    edges = [0, *np.searchsorted(times, [move.start for move in moves[1:]]), times.size]
+    strain, rate = np.empty_like(times), np.empty_like(times)
+    for move, first, last in zip(moves, edges, edges[1:], strict=False):
+        at = np.minimum(times[first:last], move.stop)
+        strain[first:last], rate[first:last] = move.strain_at(at), move.strain_rate_at(at)
+    rate[times >= moves[-1].stop] = 0.0
+    return strain, rate
+
+
 def stress_of_moves(moves: Sequence[Move], times: ArrayLike, model: FdenModel) -> FloatArray:
     """Return the stress [Pa] that a motion from rest has caused by `times` [s], of their shape.
 
@@ -175,9 +186,8 @@ def stress_of_moves(moves: Sequence[Move], times: ArrayLike, model: FdenModel) -
     order = np.argsort(flat, kind="stable")
     ascending = flat[order]
     total = np.zeros_like(ascending)
-    for move in moves:
-        for piece in pieces_of(move, model):
-            _add_piece(total, ascending, piece, model)
+    for piece in (piece for move in moves for piece in pieces_of(move, model)):
+        _add_piece(total, ascending, piece, model)
     stress = np.empty_like(total)
     stress[order] = total / gamma(1.0 - model.fractional_order)
     return stress.reshape(instants.shape)
@@ -190,31 +200,16 @@ def stress_of_piecewise_linear_strain(
 
     Knots have increasing times [s] and strains, shape (n,), the first 0; after the last the strain
     is held.
-
-    Raises
-    ------
-    InputError
-        If the knots do not match, do not increase, or do not start at strain 0.
     """
-    moves = moves_of_knots(knot_times, knot_strains)
-    if moves and moves[0].start_strain != 0.0:
-        raise InputError(
-            f"the first knot has strain {moves[0].start_strain:g}; it must be 0, from rest"
-        )
-    return stress_of_moves(moves, times, model)
+    return stress_of_moves(moves_of_knots(knot_times, knot_strains), times, model)
 
 
 def moves_of_knots(knot_times: ArrayLike, knot_strains: ArrayLike) -> list[LinearMove]:
     """Return the linear moves between knots of time (s) and strain, both of shape (n,)."""
-    instants = np.asarray(knot_times, dtype=float)
-    strains = np.asarray(knot_strains, dtype=float)
-    if instants.ndim != 1 or instants.shape != strains.shape:
-        raise InputError(
-            f"knots have {instants.shape} times and {strains.shape} strains; give as many of each"
-        )
-    if not (np.all(np.diff(instants) > 0.0) and np.all(np.isfinite(instants))):
+    instants, strains = (np.asarray(k, dtype=float) for k in (knot_times, knot_strains))
+    if not np.all(np.diff(instants) > 0.0):
         raise InputError("knot times must be finite and strictly increasing")
-    knots = [(float(t), float(x)) for t, x in zip(instants, strains, strict=True)]
+    knots = list(zip(instants.tolist(), strains.tolist(), strict=True))
     return [LinearMove(t0, t1, x0, x1) for (t0, x0), (t1, x1) in itertools.pairwise(knots)]
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,27 +27,17 @@ _RINGS, _WAVES, _LAST_WAVE = 60, 200, 30.0
 _CONTACTS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.1, 1.5, 2.0, 2.6, 3.3)
 
 
-class Stiffening(NamedTuple):
-    """The factor by which a layer stiffens the contact."""
-
-    #: sqrt(R d) / h [1], increasing, shape (n,).
-    ratios: FloatArray
-    factors: FloatArray  #: force over that of Hertz [1], (n,)
-
-    def of(self, ratio: FloatArray) -> FloatArray:
-        """Return the factor at ratios [1]."""
-        return PchipInterpolator(self.ratios, self.factors)(ratio)
-
-
 @functools.cache
-def stiffening(poisson_ratio: float, *, is_bonded: bool) -> Stiffening:
-    """Return the stiffening of a layer that its rigid base holds, or lets slip."""
+def stiffening(poisson_ratio: float, *, is_bonded: bool) -> Any:
+    """Return the interpolator from sqrt(R d) / h [1] to the force over that of Hertz [1].
+
+    Of a layer that its rigid base holds, or lets slip.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(_WAVES)
     waves, weights = 0.5 * _LAST_WAVE * (nodes + 1.0), 0.5 * _LAST_WAVE * weights
     softer = np.array([_sink(k, poisson_ratio, is_bonded=is_bonded) - 1.0 for k in waves])
     found = [_pressed(contact, waves, weights * softer) for contact in _CONTACTS]
-    ratios, factors = np.array([(0.0, 1.0), *found]).T
-    return Stiffening(ratios, factors)
+    return PchipInterpolator(*np.array([(0.0, 1.0), *found]).T)
 
 
 def _pressed(contact: float, waves: FloatArray, softer: FloatArray) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import yaml
@@ -31,14 +31,7 @@ from fden_ros.simulation import FdenModel, FloatArray
 from simulation.contact import Stiffening
 from simulation.disturbance import Disturbances
 from simulation.elastic_layer import stiffening
-from simulation.trajectory import (
-    TRAJECTORIES,
-    Approach,
-    Ramp,
-    RampHold,
-    Sinusoid,
-    Trajectory,
-)
+from simulation.trajectory import TRAJECTORIES, Approach, Ramp, RampHold, Sinusoid, Trajectory
 
 Press = Trajectory
 Axis = tuple[float, float, float]
@@ -69,12 +62,10 @@ class Distribution:
 
 # Paper, Table II: G and Gn of the nonlinearity measurement (64 samples), alpha of the dynamic test
 # (11 samples).
-TISSUES: dict[str, dict[str, Distribution]] = {
-    "liver": {
-        "linear_stiffness": Distribution(544.8, 155.3, 341.8, 1294.0, logarithmic=True),
-        "nonlinear_stiffness": Distribution(8.547, 1.604, 5.26, 13.18, logarithmic=True),
-        "fractional_order": Distribution(0.131, 0.011, 0.118, 0.146, logarithmic=False),
-    }
+_LIVER = {
+    "linear_stiffness": Distribution(544.8, 155.3, 341.8, 1294.0, logarithmic=True),
+    "nonlinear_stiffness": Distribution(8.547, 1.604, 5.26, 13.18, logarithmic=True),
+    "fractional_order": Distribution(0.131, 0.011, 0.118, 0.146, logarithmic=False),
 }
 
 
@@ -86,27 +77,25 @@ class Tissue:
     nonlinear_stiffness: float | None = None  #: Gn
     fractional_order: float | None = None  #: alpha
     #: Name of the tissue whose distribution gives the other parameters: ``liver`` (Table II)
-    draw: str | None = None
+    draw: Literal["liver"] | None = None
 
     def __post_init__(self) -> None:
-        missing = [name for name in TISSUES["liver"] if getattr(self, name) is None]
+        missing = [name for name in _LIVER if getattr(self, name) is None]
         if self.draw is None and missing:
             raise InputError(f"tissue: {missing[0]} is missing; give it, or `draw: liver`")
 
     def model(self, generator: np.random.Generator) -> FdenModel:
         """Return the parameters, drawing those that are not given."""
         # All are drawn, used or not: giving one must not change the others.
-        source = TISSUES[self.draw or "liver"]
-        drawn = {name: distribution.draw(generator) for name, distribution in source.items()}
+        drawn = {name: distribution.draw(generator) for name, distribution in _LIVER.items()}
         given = {name: getattr(self, name) for name in drawn if getattr(self, name) is not None}
         return FdenModel(**(drawn | given))
 
 
-#: By the kind of a geometry, what it needs.
+#: What may be given of a geometry, by its kind.
 _DIMENSIONS = {
-    "flat_punch": ({"area_m2", "thickness_m"}, {"radius_m", "thickness_m"}),
-    "sphere": ({"radius_m"}, {"radius_m", "thickness_m"}),
-    "pass_through": (set[str](),),
+    "flat_punch": (["area_m2", "thickness_m"], ["radius_m", "thickness_m"]),
+    "sphere": (["radius_m"], ["radius_m", "thickness_m"]),
 }
 
 
@@ -117,9 +106,8 @@ class Geometry:
     #: ``flat_punch``: force = stress · area, depth = strain · thickness. ``sphere``: force =
     #: stress · 4 R²/3, depth = R · strain^(2/3), which is Hertz' law where the tissue is
     #: linear; with a thickness it presses an incompressible layer,
-    #: :mod:`simulation.elastic_layer`. ``pass_through``: the force stream carries the stress
-    #: in Pa, the displacement stream the strain
-    kind: str = "flat_punch"
+    #: :mod:`simulation.elastic_layer`
+    kind: Literal["flat_punch", "sphere"] = "flat_punch"
     #: Face of the punch, one of the two; radius of the sphere
     area_m2: float | None = None
     radius_m: float | None = None
@@ -128,21 +116,15 @@ class Geometry:
     bonded: bool = True  #: The base holds the layer under a sphere; otherwise it slips
 
     def __post_init__(self) -> None:
-        given = {
-            name
-            for name in ("area_m2", "radius_m", "thickness_m")
-            if getattr(self, name) is not None
-        }
-        allowed = _DIMENSIONS[self.kind]
+        every = ("area_m2", "radius_m", "thickness_m")
+        given, allowed = [n for n in every if getattr(self, n) is not None], _DIMENSIONS[self.kind]
         if given not in allowed:
-            right = " or ".join(" and ".join(sorted(names)) or "no dimension" for names in allowed)
-            raise InputError(f"geometry: {self.kind} needs {right}, not {_listed(sorted(given))}")
+            right = " or ".join(" and ".join(names) for names in allowed)
+            raise InputError(f"geometry: {self.kind} needs {right}, not {_listed(given)}")
 
     @property
     def force_per_stress(self) -> float:
-        """Force over stress in m²; 1 for pass-through."""
-        if self.kind == "pass_through":
-            return 1.0
+        """Force over stress in m²."""
         if self.kind == "sphere":
             return 4.0 / 3.0 * (self.radius_m or 0.0) ** 2
         return math.pi * (self.radius_m or 0.0) ** 2 if self.area_m2 is None else self.area_m2
@@ -150,31 +132,29 @@ class Geometry:
     @property
     def length_m(self) -> float:
         """Height above the surface that counts as strain -1, in m."""
-        lengths = {"flat_punch": self.thickness_m, "sphere": self.radius_m, "pass_through": 1.0}
-        return lengths[self.kind] or 1.0
+        return (self.thickness_m if self.kind == "flat_punch" else self.radius_m) or 1.0
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Parameters of the identifier for this geometry."""
-        stated: dict[str, Any] = {"geometry.kind": self.kind}
         if self.kind == "flat_punch":
-            stated |= {"geometry.area": self.force_per_stress, "geometry.thickness": self.length_m}
-        elif self.kind == "sphere":
-            stated |= {
+            own = {"geometry.area": self.force_per_stress, "geometry.thickness": self.length_m}
+        else:
+            own = {
                 "geometry.radius": self.length_m,
                 "geometry.thickness": self.thickness_m or 0.0,
                 "geometry.bonded": self.bonded,
             }
-        return stated
+        return {"geometry.kind": self.kind, **own}
 
     @functools.cached_property
     def _layer(self) -> tuple[FloatArray, FloatArray]:
         """Depths into the layer, and into a half-space of the same force, in radii."""
         layer = stiffening(0.5, is_bonded=self.bonded)
         ratio = self.length_m / (self.thickness_m or math.inf)
-        places = np.linspace(0.0, layer.ratios[-1], 20_000)
+        places = np.linspace(0.0, layer.x[-1], 20_000)
         depths = (places / ratio) ** 2
-        return depths, depths * np.cbrt(layer.of(places)) ** 2
+        return depths, depths * np.cbrt(layer(places)) ** 2
 
     def depth_of_strain(self, strain: FloatArray) -> FloatArray:
         """Return the displacement into the tissue in m; negative above the undisturbed surface."""
@@ -219,10 +199,8 @@ class ForceSensor:
     #: Constant and growing error of the force
     bias_n: float = 0.0
     drift_n_per_s: float = 0.0
-    #: Where and as what it is published: ``wrench`` (force along `axis`, which pressing makes
-    #: positive) or ``joint_state`` (effort)
+    #: Where it is published, as a wrench: force along `axis`, which pressing makes positive
     topic: str = "/force"
-    message: str = "wrench"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "force_sensor"
 
@@ -240,10 +218,10 @@ class DisplacementSensor:
     noise_m: float = 0.0  #: Standard deviation of white noise per sample and coordinate
     jitter_s: float = 0.0
     delay_s: float = 0.0  #: Delay of the samples' stamps behind the truth
-    #: Where and as what it is published: ``joint_state`` (position), ``pose``, ``transform``
-    #: or ``point`` (`axis` points into the tissue)
+    #: Where and as what it is published: ``joint_state`` (position), ``pose`` or ``point``
+    #: (`axis` points into the tissue)
     topic: str = "/displacement"
-    message: str = "joint_state"
+    message: Literal["joint_state", "pose", "point"] = "joint_state"
     axis: Axis = (0.0, 0.0, 1.0)
     frame_id: str = "tissue"
     surface_m: float = 0.0  #: Reading at the undisturbed surface
@@ -253,7 +231,7 @@ class DisplacementSensor:
 class Dropout:
     """A stretch of time in which a stream has no samples."""
 
-    stream: str  #: ``force``, ``displacement`` or ``both``
+    stream: Literal["force", "displacement", "both"]
     #: On the stamps, from the beginning of the recording
     start_s: float
     duration_s: float
@@ -346,10 +324,7 @@ def ramp_scenario(
     noise_stress_pa: float = 3.0,
     seed: int = 0,
 ) -> Scenario:
-    """Return ramps, or ramps and holds, of one site each, without a file.
-
-    Tissue is by default drawn from liver, with the fractional order 0.131.
-    """
+    """Return ramps, or ramps and holds, of one site each; by default on liver of alpha 0.131."""
     press = RampHold(strain_rate, max_strain, hold_s) if hold_s else Ramp(strain_rate, max_strain)
     tissue = tissue or Tissue(draw="liver", fractional_order=0.131)
     return Scenario(
@@ -363,24 +338,19 @@ def ramp_scenario(
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Read a scenario by its name (see :func:`scenario_names`), or the path of a YAML file.
-
-    Raises
-    ------
-    InputError
-        If there is no such scenario, or it cannot be used.
-    """
-    path = _scenario_path(name_or_path)
+    """Read a scenario by its name (see :func:`scenario_names`), or the path of a YAML file."""
+    path, text = Path(name_or_path), str(name_or_path)
+    if not path.is_file():
+        if path.suffix in (".yaml", ".yml") or os.sep in text:
+            words = "no such file; give the path of a scenario or a name from `fden bag --list`"
+            raise InputError(f"{text}: {words}")
+        _require("scenario", text, scenario_names())
+        path = shipped(f"bags/{text}.yaml")
     try:
         data = parse_yaml(path.read_text(encoding="utf-8"))
         return scenario_of_mapping({"name": path.stem} | _mapping(data, "scenario"))
-    except OSError as error:
-        reason = f"cannot be read ({error.strerror})"
-    except InputError as error:
-        reason = str(error)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = f"is not valid YAML: {' '.join(str(error).split())}"
-    raise InputError(f"{path}: {reason}")
+    except (OSError, InputError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: {' '.join(str(error).split())}") from None
 
 
 def scenario_of_mapping(data: Mapping[str, Any]) -> Scenario:
@@ -393,44 +363,18 @@ def scenario_names() -> list[str]:
     return sorted({path.stem for bags in all_shipped("bags") for path in bags.glob("*.yaml")})
 
 
-def _scenario_path(name_or_path: str | Path) -> Path:
-    path = Path(name_or_path)
-    text = str(name_or_path)
-    if path.is_file():
-        return path
-    if path.suffix in (".yaml", ".yml") or os.sep in text:
-        raise InputError(
-            f"{text}: no such file; give the path of a scenario or a name from `fden bag --list`"
-        )
-    require_choice("scenario", text, scenario_names())
-    return shipped(f"bags/{text}.yaml")
-
-
-def require_choice(what: str, value: str, choices: Iterable[str]) -> None:
+def _require(what: str, value: object, choices: Iterable[str]) -> None:
     """Raise InputError unless `value` is one of `choices`."""
-    if value not in choices:
-        raise InputError(_no_such(what, value, choices))
-
-
-def _no_such(what: str, value: object, choices: Iterable[str]) -> str:
-    options = sorted(choices)
-    near = difflib.get_close_matches(str(value), options, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {_listed(options)}"
-    return f"{what} {value!r} is unknown; {hint}"
+    if value not in (options := sorted(choices)):
+        near = difflib.get_close_matches(str(value), options, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {_listed(options)}"
+        raise InputError(f"{what} {value!r} is unknown; {hint}")
 
 
 def _listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "nothing"
 
 
-#: By class and field, what a text may be.
-_CHOICES: dict[tuple[type, str], Iterable[str]] = {
-    (Tissue, "draw"): TISSUES,
-    (Geometry, "kind"): _DIMENSIONS,
-    (ForceSensor, "message"): ("wrench", "joint_state"),
-    (DisplacementSensor, "message"): ("joint_state", "pose", "transform", "point"),
-    (Dropout, "stream"): ("force", "displacement", "both"),
-}
 #: Numbers that may be negative.
 _SIGNED = ("bias_n", "drift_n_per_s", "surface_m", "delay_s", "creep_n", "thermal_n")
 
@@ -443,8 +387,7 @@ def _build(cls: type[T], data: object, where: str) -> T:
     hints = typing.get_type_hints(cls)
     known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
     for key in mapping:
-        if key not in known:
-            raise InputError(_no_such(f"{where}: key", key, known))
+        _require(f"{where}: key", key, known)
     for name, item in known.items():
         if name not in mapping and item.default is MISSING and item.default_factory is MISSING:
             raise InputError(f"{where}: {name} is missing")
@@ -452,8 +395,6 @@ def _build(cls: type[T], data: object, where: str) -> T:
         key: _convert(value, hints[key], f"{where}: {key}") for key, value in mapping.items()
     }
     for name, value in values.items():
-        if choices := _CHOICES.get((cls, name)):
-            require_choice(f"{where}: {name}", value, choices)
         if type(value) in (int, float) and name not in _SIGNED:
             may_be_zero = known[name].default == 0
             if value < 0 or (value == 0 and not may_be_zero):
@@ -468,12 +409,7 @@ def _mapping(data: object, where: str) -> dict[str, Any]:
     return dict(data)
 
 
-_WORDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a finite number",
-    str: "text",
-}
+_WORDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "text"}
 
 
 def _convert(value: Any, hint: Any, where: str) -> Any:
@@ -484,6 +420,9 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
         (hint,) = (option for option in typing.get_args(hint) if option is not type(None))
     if typing.get_origin(hint) is tuple:
         return _convert_list(value, typing.get_args(hint), where)
+    if typing.get_origin(hint) is Literal:
+        _require(where, value, typing.get_args(hint))
+        return value
     if hint not in _WORDS:
         return _build(hint, value, where.rpartition(": ")[2])
     # A bool is an int, too, but not meant as one.
@@ -494,12 +433,11 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
 
 
 def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
-    count = len(hints)
     if hints[-1] is Ellipsis and isinstance(value, list):
-        count, hints = len(value), hints[:1] * len(value)
-    if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{where} is {value!r}; it must be a list of {count}")
-    names = [f"{where} {index}" for index in range(1, count + 1)]
+        hints = hints[:1] * len(value)
+    if not isinstance(value, list) or len(value) != len(hints):
+        raise InputError(f"{where} is {value!r}; it must be a list of {len(hints)}")
+    names = [f"{where} {index}" for index in range(1, len(hints) + 1)]
     values = tuple(map(_convert, value, hints, names))
     if hints == typing.get_args(Axis) and abs(math.hypot(*values) - 1.0) > 1e-6:
         raise InputError(f"{where} is {value}; it must be a unit vector such as [0, 0, -1]")
@@ -509,7 +447,5 @@ def _convert_list(value: object, hints: tuple[Any, ...], where: str) -> tuple[An
 def _press(value: object, where: str) -> Press:
     mapping = _mapping(value, where)
     kind = mapping.pop("kind", None)
-    if kind is None:
-        raise InputError(f"{where}: kind is missing; it is one of {_listed(sorted(TRAJECTORIES))}")
-    require_choice(f"{where}: kind", kind, TRAJECTORIES)
+    _require(f"{where}: kind", kind, TRAJECTORIES)
     return _build(TRAJECTORIES[kind], mapping, f"{where}: {kind}")

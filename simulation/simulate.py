@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,9 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fden_ros.simulation import FdenModel, FloatArray
-from simulation.closed_form import Move, SineMove
+from simulation.closed_form import Move, SineMove, motion_of
 from simulation.contact import ContactHistory, contacts_of_moves
-from simulation.disturbance import Disturbances, Phases, quantised
+from simulation.disturbance import (
+    Disturbances,
+    Phases,
+    SteppedHistory,
+    quantised,
+    stepped_contacts_of_moves,
+)
 from simulation.scenario import (
     DisplacementSensor,
     Dropout,
@@ -24,10 +30,6 @@ from simulation.scenario import (
     Preload,
     Scenario,
     Site,
-)
-from simulation.stepped_contact import (
-    SteppedHistory,
-    stepped_contacts_of_moves,
 )
 from simulation.trajectory import Approach, Path
 
@@ -54,11 +56,7 @@ class Stream:
     #: Tip of the probe in m, shape (n, 3), with ``position @ axis == value``; None where the
     #: message has no room for it
     position: FloatArray | None
-    #: As in the scenario's sensor
-    topic: str
-    message: str
-    axis: tuple[float, float, float]
-    frame_id: str
+    sensor: ForceSensor | DisplacementSensor  #: Of the scenario
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class Recording:
     @property
     def streams(self) -> tuple[Stream, ...]:
         """All streams."""
-        return (self.force, self.displacement)
+        return self.force, self.displacement
 
 
 @dataclass(frozen=True)
@@ -91,11 +89,8 @@ def simulate(scenario: Scenario, seed: int | None = None) -> Recording:
     seed = scenario.seed if seed is None else seed
     phases = Phases.draw(_generator(seed, _PHASE_DRAWS))
     visits = _visits(scenario, _generator(seed, _TISSUE_DRAWS), phases)
-    duration = visits[-1].stop
-    force = _force_stream(scenario, visits, duration, _generator(seed, _FORCE_DRAWS), phases)
-    displacement = _displacement_stream(
-        scenario, visits, duration, _generator(seed, _DISPLACEMENT_DRAWS)
-    )
+    force = _force_stream(scenario, visits, _generator(seed, _FORCE_DRAWS), phases)
+    displacement = _displacement_stream(scenario, visits, _generator(seed, _DISPLACEMENT_DRAWS))
     return Recording(force, displacement, _truth(scenario, seed, visits))
 
 
@@ -121,7 +116,7 @@ def identifier_parameters(scenario: Scenario, models: Sequence[FdenModel]) -> di
     force, displacement = scenario.force, scenario.displacement
     parameters: dict[str, Any] = {
         **scenario.geometry.parameters,
-        "force.message": force.message,
+        "force.message": "wrench",
         "force.axis": list(force.axis),
         "displacement.message": displacement.message,
         "displacement.axis": list(displacement.axis),
@@ -190,7 +185,6 @@ def _path_over(
     if site.slide is not None:
         del path.moves[1 + path.moves.index(_sine(path.moves)) :]
         path.time = path.moves[-1].stop
-        return path
     return path
 
 
@@ -200,15 +194,11 @@ def _sine(moves: Sequence[Move]) -> SineMove:
 
 
 def _force_stream(
-    scenario: Scenario,
-    visits: Sequence[_Visit],
-    duration: float,
-    generator: np.random.Generator,
-    phases: Phases,
+    scenario: Scenario, visits: Sequence[_Visit], generator: np.random.Generator, phases: Phases
 ) -> Stream:
-    sensor, disturbances = scenario.force, scenario.disturbances
-    elapsed_ns, times = _sampling(sensor, duration, generator)
-    stress, velocity = np.zeros_like(times), np.zeros_like(times)
+    sensor, geometry = scenario.force, scenario.geometry
+    elapsed_ns, times = _sampling(sensor, visits[-1].stop, generator)
+    stress = np.zeros_like(times)
     for visit in visits:
         during = slice(*np.searchsorted(times, [visit.start, visit.stop]))
         stress[during] = visit.contacts.stress(times[during] - visit.start)
@@ -217,7 +207,6 @@ def _force_stream(
             since = times[during] - visit.start - sine.start
             gone = np.clip(since / (sine.stop - sine.start), 0, 1)
             stress[during] *= visit.site.slide.stiffness_ratio(gone, visit.site.position_m)
-        velocity[during] = _velocity(visit, times[during], scenario.geometry)
     noise = scenario.force_noise_n * generator.standard_normal(times.size)
     error = sensor.bias_n + sensor.drift_n_per_s * times + noise
     contacts = [
@@ -225,52 +214,35 @@ def _force_stream(
         for visit in visits
         for contact in visit.contacts.contacts
     ]
-    force = disturbances.force_reading(
-        times, stress * scenario.geometry.force_per_stress, error, velocity, contacts, phases
+    velocity = geometry.length_m * _motion(visits, times)[1]
+    force = scenario.disturbances.force_reading(
+        times, stress * geometry.force_per_stress, error, velocity, contacts, phases
     )
     kept = _kept(elapsed_ns, scenario.dropouts, "force")
-    return _stream(sensor, elapsed_ns[kept], force[kept], None)
-
-
-def _velocity(visit: _Visit, times: FloatArray, geometry: Geometry) -> FloatArray:
-    """Return the planned velocity into the tissue in m/s, as in the air."""
-    velocity = np.zeros_like(times)
-    for move, during in _moves_at(visit, times):
-        velocity[during] = geometry.length_m * move.strain_rate_at(times[during] - visit.start)
-    return velocity
+    return Stream(START_NS + elapsed_ns[kept], force[kept], None, sensor)
 
 
 def _displacement_stream(
-    scenario: Scenario, visits: Sequence[_Visit], duration: float, generator: np.random.Generator
+    scenario: Scenario, visits: Sequence[_Visit], generator: np.random.Generator
 ) -> Stream:
     sensor, step = scenario.displacement, scenario.disturbances.displacement_step_m
     axis = np.array(sensor.axis)
-    elapsed_ns, times = _sampling(sensor, duration, generator)
-    along = sensor.surface_m + scenario.geometry.depth_of_strain(_strain(visits, times))
+    elapsed_ns, times = _sampling(sensor, visits[-1].stop, generator)
+    along = sensor.surface_m + scenario.geometry.depth_of_strain(_motion(visits, times)[0])
     noise = sensor.noise_m * generator.standard_normal((times.size, 3))
     stamps = elapsed_ns + round(sensor.delay_s * 1e9)
     kept = _kept(stamps, scenario.dropouts, "displacement")
     if sensor.message == "joint_state":
-        return _stream(sensor, stamps[kept], quantised(along + noise[:, 2], step)[kept], None)
-    across = _lateral(visits, times, axis)
-    position = quantised(np.outer(along, axis) + across + noise, step)
-    return _stream(sensor, stamps[kept], (position @ axis)[kept], position[kept])
-
-
-def _stream(
-    sensor: ForceSensor | DisplacementSensor,
-    elapsed_ns: StampArray,
-    value: FloatArray,
-    position: FloatArray | None,
-) -> Stream:
-    layout = sensor.topic, sensor.message, sensor.axis, sensor.frame_id
-    return Stream(START_NS + elapsed_ns, value, position, *layout)
+        value, position = quantised(along + noise[:, 2], step)[kept], None
+    else:
+        across = _lateral(visits, times, axis)
+        position = quantised(np.outer(along, axis) + across + noise, step)
+        value, position = (position @ axis)[kept], position[kept]
+    return Stream(START_NS + stamps[kept], value, position, sensor)
 
 
 def _sampling(
-    sensor: ForceSensor | DisplacementSensor,
-    duration: float,
-    generator: np.random.Generator,
+    sensor: ForceSensor | DisplacementSensor, duration: float, generator: np.random.Generator
 ) -> tuple[StampArray, FloatArray]:
     """Return when samples are taken, in whole ns and in s since the beginning."""
     count = int(duration * sensor.rate_hz)
@@ -290,22 +262,13 @@ def _kept(elapsed_ns: StampArray, dropouts: Sequence[Dropout], stream: str) -> N
     return kept
 
 
-def _strain(visits: Sequence[_Visit], times: FloatArray) -> FloatArray:
-    strain = np.empty_like(times)
+def _motion(visits: Sequence[_Visit], times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the planned strain at `times` (n,), and its rate [1/s]."""
+    strain, rate = np.empty_like(times), np.empty_like(times)
     for visit in visits:
-        for move, during in _moves_at(visit, times):
-            strain[during] = move.strain_at(times[during] - visit.start)
-    # The bounds of two moves may differ in the last bit; the very end belongs to no move.
-    final = visits[-1].moves[-1]
-    strain[times >= visits[-1].stop] = final.strain_at(final.stop)
-    return strain
-
-
-def _moves_at(visit: _Visit, times: FloatArray) -> Iterator[tuple[Move, slice]]:
-    """Yield each move of a visit, and which of `times` (n,) it covers."""
-    for move in visit.moves:
-        ends = [visit.start + move.start, visit.start + move.stop]
-        yield move, slice(*np.searchsorted(times, ends))
+        later = slice(int(np.searchsorted(times, visit.start)), None)
+        strain[later], rate[later] = motion_of(visit.moves, times[later] - visit.start)
+    return strain, rate
 
 
 def _lateral(visits: Sequence[_Visit], times: FloatArray, axis: FloatArray) -> FloatArray:
@@ -337,11 +300,11 @@ def _across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _site_truth(number: int, visit: _Visit) -> dict[str, Any]:
     model, site = visit.contacts.model, visit.site
+    stiffer = site.stiffening.ratio if site.stiffening else 1.0
     truth = {
         "site": number,
         # At the end of the contact, for a comparison with the estimate.
-        "linear_stiffness": model.linear_stiffness
-        * (site.stiffening.ratio if site.stiffening else 1.0),
+        "linear_stiffness": model.linear_stiffness * stiffer,
         "nonlinear_stiffness": model.nonlinear_stiffness,
         "fractional_order": model.fractional_order,
         "position": list(site.position_m),

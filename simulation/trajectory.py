@@ -18,19 +18,9 @@ from simulation.closed_form import LinearMove, Move, SineMove
 
 
 class Path:
-    """A motion under construction: the probe's place, and its moves so far.
+    """A motion under construction: the probe's place, from time 0 on, and its moves so far.
 
-    Parameters
-    ----------
-    strain
-        Where it starts, at time 0.
-    length_m
-        Length of a strain of 1 in the air, in m.
-
-    Attributes
-    ----------
-    floor
-        Least strain that :meth:`go` goes back to.
+    A strain of 1 is `length_m` in the air; :meth:`go` goes back to the strain `floor` at least.
     """
 
     def __init__(self, strain: float, length_m: float) -> None:
@@ -93,27 +83,23 @@ class Approach:
         path.go(-(self.distance_m if height_m is None else height_m) / path.length_m, rate)
 
 
-@dataclass(frozen=True)
 class Trajectory:
     """The common part of all presses: the probe comes from the air, presses, and returns.
 
-    `strain_rate` is that of the indentation, in 1/s.
+    `strain_rate` is that of the indentation, `retract_rate` that of the retract, in 1/s; None: by
+    the approach's retract speed.
     """
 
     kind: ClassVar[str]
-
-    @property
-    def retract_rate(self) -> float | None:
-        """Rate of strain of the retract in 1/s; None: by the approach's retract speed."""
-        raise NotImplementedError
+    retract_rate: float | None
 
     def press(self, path: Path, approach: Approach) -> None:
         """Append the press to `path`: down, into the tissue, and back into the air."""
         approach.descend(path)
-        self.go(path, approach)
+        self._go(path, approach)
         approach.retract(path, self.retract_rate)
 
-    def go(self, path: Path, approach: Approach) -> None:
+    def _go(self, path: Path, approach: Approach) -> None:
         """Append the motion between indentation and retract."""
         raise NotImplementedError
 
@@ -127,8 +113,7 @@ class Ramp(Trajectory):
     max_strain: float
     retract_rate: float | None = None
 
-    def go(self, path: Path, approach: Approach) -> None:
-        """Append the ramp."""
+    def _go(self, path: Path, approach: Approach) -> None:
         path.go(self.max_strain, self.strain_rate)
 
 
@@ -142,8 +127,7 @@ class RampHold(Trajectory):
     hold_s: float
     retract_rate: float | None = None
 
-    def go(self, path: Path, approach: Approach) -> None:
-        """Append ramp and hold."""
+    def _go(self, path: Path, approach: Approach) -> None:
         path.go(self.max_strain, self.strain_rate)
         path.rest(self.hold_s)
 
@@ -159,8 +143,7 @@ class Staircase(Trajectory):
     hold_s: float
     retract_rate: float | None = None
 
-    def go(self, path: Path, approach: Approach) -> None:
-        """Append the steps."""
+    def _go(self, path: Path, approach: Approach) -> None:
         for count in range(1, self.steps + 1):
             path.go(self.max_strain * count / self.steps, self.strain_rate)
             path.rest(self.hold_s)
@@ -181,8 +164,7 @@ class Palpation(Trajectory):
     lift_m: float = 0.002
     pause_s: float = 0.5  #: Time it stays there
 
-    def go(self, path: Path, approach: Approach) -> None:
-        """Append all presses."""
+    def _go(self, path: Path, approach: Approach) -> None:
         for count in range(1, self.presses + 1):
             path.go(self.max_strain, self.strain_rate)
             path.rest(self.hold_s)
@@ -204,8 +186,7 @@ class Sinusoid(Trajectory):
     hold_s: float = 0.0
     retract_rate: float | None = None
 
-    def go(self, path: Path, approach: Approach) -> None:
-        """Append ramp, hold and sine."""
+    def _go(self, path: Path, approach: Approach) -> None:
         path.go(self.mean_strain, self.strain_rate)
         path.rest(self.hold_s)
         path.oscillate(self.amplitude, self.frequency_hz, self.cycles)

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from benchmark.trial import fed, samples_of
+from benchmark.trial import begun, fed, samples_of
 from fden_ros.core.arrays import Array
 from fden_ros.core.outputs import ContactSummary, Output
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
-from fden_ros.parameters import check, pipeline_config, read_parameter_file
+from fden_ros.parameters import read_parameter_file
 from simulation.simulate import Recording
 
 FORCE, DISPLACEMENT = 0, 1
@@ -58,12 +58,6 @@ def feed(pipeline: Pipeline, items: Iterable[Item]) -> None:
             pipeline.add_force(stamp_ns, value)
         else:
             pipeline.add_displacement(stamp_ns, value, position)
-
-
-def begun(parameters: Mapping[str, object]) -> tuple[Pipeline, list[Output]]:
-    """Return a new pipeline, and the list that its outputs go into."""
-    outputs: list[Output] = []
-    return Pipeline(pipeline_config(check(parameters)), outputs.append), outputs
 
 
 def identified(

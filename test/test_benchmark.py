@@ -15,13 +15,15 @@ from command_helpers import answer
 
 from benchmark import (
     changes,
+    exact,
     harness,
     invariance,
     laws,
-    presses,
+    public,
     real,
+    robots,
 )
-from benchmark.bound import contact_bounds
+from benchmark.exact import contact_bounds
 from benchmark.score import Judged
 from fden_ros.core.estimation import Estimate, ParameterSet
 from fden_ros.core.outputs import Flag
@@ -89,7 +91,8 @@ def benchmark(capsys, tmp_path, name, *arguments):
 @pytest.fixture
 def small(monkeypatch, tables):
     for module, name, value in (
-        (presses, "RATE_HZ", 100.0),
+        (robots, "RATE_HZ", 100.0),
+        (exact, "_QUICK_SAMPLES", 300),
         (laws, "GEOMETRIES", {"sphere": laws.GEOMETRIES["sphere"]}),
         (laws, "_OTHERS", {"kelvin_voigt": laws._OTHERS["kelvin_voigt"]}),
         (invariance, "CHANGES", {"stamps": invariance.CHANGES["stamps shifted"]}),
@@ -101,23 +104,23 @@ def small(monkeypatch, tables):
 
 #: Of a small run of each: what follows from its words.
 SMALL = {
-    "exact --contacts 1 --samples 300 --jobs 1": lambda f: (
+    "exact --quick --contacts 1": lambda f: (
         f["bound"]["ln G"]["contacts"] == 1
         and f["rows"]["all"]["no estimate"][1] == f["rows"]["ramp"]["no estimate"][1] == 1
         and f["rows"]["rig known"]["undetected"] == [0, 1]
         and "palpation" not in f["rows"]
     ),
-    "laws --quick --cases linear_solid_1 --jobs 1": lambda f: (
+    "laws --quick --cases linear_solid_1": lambda f: (
         len(f["N/m"]) == 4
         and f["laws"]["standard linear solid, 1 s, testing machine"]["mismatch"][0] == 1
     ),
-    "changes --cases flat_10 --contacts 1 --jobs 1": lambda f: (
+    "changes --cases flat_10 --contacts 1": lambda f: (
         [set(row) for row in f["rows"].values()] == [{change.name for change in changes.CHANGES}]
     ),
     "real {tables} --quick": lambda f: (
         f["materials"]["beef"]["error, median"] < 1.0 and f["materials"]["beef"]["in 95 %"] > 0.8
     ),
-    "invariance --contacts 1 --jobs 1": lambda f: (
+    "invariance --contacts 1": lambda f: (
         f["rigs"]["stamps"]["records"] == 1 and max(f["rigs"]["stamps"]["largest"]) < 1e-3
     ),
 }
@@ -136,7 +139,7 @@ def test_a_small_run_of_each_writes_its_figures(words, small, tmp_path, capsys):
     assert SMALL[words](figures)
 
 
-def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path):
+def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path, monkeypatch):
     """Three springs between plates: what they are is their modulus, and their slope."""
     folder, generator = tmp_path / "others", np.random.default_rng(3)
     folder.mkdir()
@@ -150,8 +153,8 @@ def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path
     (folder / "springs.csv").write_text("\n".join(rows))
     heading = "test,phantom,area_m2,thickness_m,modulus_Pa"
     (folder / "springs_truth.csv").write_text("\n".join([heading, *truths]))
-    own = ("public", str(folder), "--strains", "0.15")
-    (table,) = benchmark(capsys, tmp_path, *own).values()
+    monkeypatch.setattr(public, "STRAINS", (0.15,))
+    (table,) = benchmark(capsys, tmp_path, "public", str(folder)).values()
     row = table["FDEN"]
     # A spring is a plateau too: where that is likelier, the law's N/m is withheld.
     assert row["given"][1] == 3

@@ -57,12 +57,12 @@ def foreign(recording: Recording, kind: str = "pose") -> RigBag:
         Streams(
             "foreign",
             1.0 + 1e-9 * (force.stamp_ns - START_NS),
-            np.outer(force.value, force.axis),
+            np.outer(force.value, force.sensor.axis),
             1.0 + 1e-9 * (moved.stamp_ns - START_NS),
             moved.position,
         ),
-        force.topic,
-        moved.topic,
+        force.sensor.topic,
+        moved.sensor.topic,
         kind,
     )
 

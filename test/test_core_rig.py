@@ -17,7 +17,7 @@ from property_helpers import counts, first
 from scipy.signal import lfilter
 from scipy.special import gamma
 
-from benchmark.presses import CASES, trial_of
+from benchmark.robots import CASES, trial_of
 from fden_ros import fit
 from fden_ros.core.outputs import ContactSummary, Flag, Status
 from simulation.scenario import (

@@ -165,7 +165,8 @@ def changed(path, other, **changes):
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
     (section,) = content.values()
     for name, values in changes.items():
-        section["ros__parameters"].setdefault(name, {}).update(values)
+        own = {f"{name}.{key}": value for key, value in values.items()}
+        section["ros__parameters"].update(own)
     other.write_text(yaml.safe_dump(content), encoding="utf-8")
     return other
 

@@ -258,8 +258,8 @@ class Heard:
     def __init__(self, name: str, values: dict[str, Any]) -> None:
         made = recording(name)
         message = made.truth["identifier_parameters"]["displacement.message"]
-        parameters = check(BASE | {"displacement.message": message} | values)
-        pipeline, self.outputs = through(made, pipeline_config(parameters))
+        parameters = BASE | {"displacement.message": message} | values
+        pipeline, self.outputs = through(made, parameters)
         self.rejected = pipeline.rejected
         self.summaries = self._of(ContactSummary)
         states = self._of(TissueState)

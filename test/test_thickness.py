@@ -15,7 +15,7 @@ import pytest
 import yaml
 from command_helpers import answer
 
-from benchmark.other_laws import Law, springpot, stress_of_law
+from benchmark.laws import Law, springpot, stress_of_law
 from benchmark.trial import fed, last_summaries
 from fden_ros.core.law import Sphere
 from fden_ros.core.outputs import Output
@@ -52,7 +52,7 @@ def factor(sphere: Sphere, depth: float) -> float:
 def test_a_sphere_on_a_layer_is_what_boundary_elements_find(poisson_ratio, is_bonded, thickness):
     sphere = Sphere(RADIUS, thickness, poisson_ratio, is_bonded)
     depths = np.linspace(0.05, 0.9, 12) * min(thickness, RADIUS)
-    truth = stiffening(poisson_ratio, is_bonded=is_bonded).of(np.sqrt(RADIUS * depths) / thickness)
+    truth = stiffening(poisson_ratio, is_bonded=is_bonded)(np.sqrt(RADIUS * depths) / thickness)
     assert [factor(sphere, depth) for depth in depths] == pytest.approx(truth, rel=0.01)
 
 
@@ -81,7 +81,8 @@ def replayed(capsys: Any, bag: Path, **changes: object) -> dict[str, Any]:
     config = bag / "identifier.yaml"
     content = yaml.safe_load(config.read_text())
     for section in content.values():
-        section["ros__parameters"].setdefault("geometry", {}).update(changes)
+        own = {f"geometry.{name}": value for name, value in changes.items()}
+        section["ros__parameters"].update(own)
     config.write_text(yaml.safe_dump(content))
     result = answer(capsys, "replay", bag, "--config", config)
     (contact,) = result["contacts"]
