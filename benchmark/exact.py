@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Contacts on tissue that obeys the law exactly, over all of its range: alarms and errors.
+"""Contacts on tissue that obeys the law exactly, over all of its range: alarms and errors.
 
 Tissue, motion, rate, noise and prior are drawn (see below), simulated apart from the identifier,
 and identified with the noise as it is measured in the air; the rig's deviations are 0 and an arm's
@@ -9,20 +9,6 @@ defaults in turn. A *false alarm* is a contact whose summary reports a mismatch 
 where any state does; *undetected* is one that is converged, unflagged, and off by more than five
 stated deviations and 3 % (0.01 of alpha). Error over the bound: of what is known exactly but the
 tissue (rig, motion, a linear part that is seen) over the least that is possible.
-
-No estimator that knows the prior :math:`\theta \sim N(\theta_0, P_0)` and sees the stress in white
-noise :math:`\sigma` has a smaller mean squared error than
-
-.. math:: \left(\frac{1}{\sigma^2} \sum_k J_k J_k^T + P_0^{-1}\right)^{-1},
-          \qquad J_k = \partial f(t_k; \theta) / \partial\theta
-
-(Van Trees, Detection, Estimation, and Modulation Theory I, 1968, sec. 2.4; the information at the
-true parameters, for each contact its own). :math:`\theta` is (ln G, ln Gn, alpha, origin, bias):
-unknowns of an estimator are unknown here too.
-
-The derivative by the origin is singular at the touch, as :math:`(t - t_0)^{-\alpha}`, and a single
-sample close to it would weigh more than its information. So that derivative is a difference over
-the origin's own standard deviation to either side, found by iteration.
 """
 
 from __future__ import annotations
@@ -331,11 +317,23 @@ def bounds(information: Array, prior: Array) -> Array:
 def contact_bounds(
     moves: Sequence[LinearMove], model: FdenModel, stamps: Array, noise_pa: float, prior: Array
 ) -> Array:
-    """Return the least standard deviations after all contacts of a motion, shape (5,).
+    r"""Return the least standard deviations after all contacts of a motion, shape (5,).
 
     Of (ln G, ln Gn, alpha, origin [1], bias [Pa]), as in `prior`, shape (5,); 0: known, inf:
     unknown. `moves` are the probe's, in strain from the true origin; the stress was sampled at
     `stamps` [s], shape (n,), with a standard deviation [Pa].
+
+    No estimator that knows the prior :math:`\theta \sim N(\theta_0, P_0)` and sees the stress in
+    white noise :math:`\sigma` has a smaller mean squared error than
+
+    .. math:: \left(\frac{1}{\sigma^2} \sum_k J_k J_k^T + P_0^{-1}\right)^{-1},
+              \qquad J_k = \partial f(t_k; \theta) / \partial\theta
+
+    (Van Trees, Detection, Estimation, and Modulation Theory I, 1968, sec. 2.4; the information at
+    the true parameters, for each contact its own): unknowns of an estimator are unknown here too.
+    The derivative by the origin is singular at the touch, as :math:`(t - t_0)^{-\alpha}`, and a
+    sample close to it would weigh more than its information. So it is a difference over the
+    origin's own standard deviation to either side, found by iteration.
     """
     inside = np.zeros(stamps.shape, dtype=bool)
     for contact in contacts_of_moves(moves, model).contacts:

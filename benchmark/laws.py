@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Tissue that does not obey the law: how often the next force lies in the predicted interval.
+"""Tissue that does not obey the law: how often the next force lies in the predicted interval.
 
 Poroelastic and linear solids, other relaxations, other stress-strain curves, and tissue that wears
 from press to press are simulated apart from the identifier. A listener, as in a controller, gets
@@ -15,13 +15,6 @@ N/m is compared apart, for laws without relaxation too. Each law is pressed with
 two rigs. At each moment of a press what is published, converged or not, is compared with the
 simulation itself: with a step of a thousandth of the depth and without, after the time scale. What
 is flagged does not count.
-
-The stress of a law is a relaxation behind a characteristic, as in quasi-linear viscoelasticity,
-
-.. math:: f(t) = \int_0^t g(t - s)\,\frac{d\varphi(x(s))}{ds}\,ds .
-
-Tissue may also wear from press to press: it softens, or its surface stays lower. Contact pushes
-and never pulls, as in :mod:`fden_ros.simulation.tissue`, whose steps these are.
 """
 
 from __future__ import annotations
@@ -148,7 +141,15 @@ def quasi_linear(strength: float, shortest_s: float, longest_s: float) -> Relaxa
 
 @dataclass(frozen=True)
 class Law:
-    """A tissue that is not FDEN."""
+    r"""A tissue that is not FDEN.
+
+    Its stress is a relaxation behind a characteristic, as in quasi-linear viscoelasticity,
+
+    .. math:: f(t) = \int_0^t g(t - s)\,\frac{d\varphi(x(s))}{ds}\,ds .
+
+    It may also wear from press to press: it softens, or its surface stays lower. Contact pushes
+    and never pulls, as in :mod:`fden_ros.simulation.tissue`, whose steps these are.
+    """
 
     model: FdenModel  #: G, and Gn where the characteristic is that of FDEN; its alpha is not used
     relaxation: Relaxation  #:

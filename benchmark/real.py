@@ -1,24 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Measured tissue: from the ramp and the first 2 s of the hold, predict the rest of the hold.
+"""Measured tissue: from the ramp and the first 2 s of the hold, predict the rest of the hold.
 
 Every test goes through the online pipeline sample by sample, with wide priors. Nothing is fitted
-afterwards. *Error*: root mean square, in percent of the peak force;
-*short over whole*: by ramp and 2 s less by the whole record, over the deviation of the former;
-*alpha off*: from the hold's own order, where alpha is known. The rows of a day are those of the
-first part of the tests' names.
-
-The indenter's shape is not known, so G comes in force units: N s^alpha. The order of a hold is
-that of the law with a free curve: every step of phi on the ramp is a parameter of its own, not
-negative,
-
-.. math:: f_n = \sum_j w_{nj}(\alpha)\, \Delta\varphi_j, \qquad
-    w_{nj} = \frac{(t_n-t_{j-1})^{1-\alpha} - (t_n-t_j)^{1-\alpha}}
-                  {\Gamma(2-\alpha)\,(t_j-t_{j-1})}
-
-Any order fits the forces of the ramp, so the hold alone decides, without an estimator, a
-prior or an exponential.
+afterwards. *Error*: root mean square, in percent of the peak force; *short over whole*: by ramp
+and 2 s less by the whole record, over the deviation of the former; *alpha off*: from the hold's
+own order, where alpha is known. The rows of a day are those of the first part of the tests' names.
+The indenter's shape is not known, so G comes in force units: N s^alpha.
 """
 
 from __future__ import annotations
@@ -257,7 +246,17 @@ def _estimate(outputs: Sequence[Output]) -> Estimate | None:
 
 
 def hold_order(test: Test) -> float:
-    """Return the order by which the force of a test's hold relaxes, whatever the curve."""
+    r"""Return the order by which the force of a test's hold relaxes, whatever the curve.
+
+    It is that of the law with a free curve: every step of phi on the ramp is a parameter of its
+    own, not negative,
+
+    .. math:: f_n = \sum_j w_{nj}(\alpha)\, \Delta\varphi_j, \qquad
+        w_{nj} = \frac{(t_n-t_{j-1})^{1-\alpha} - (t_n-t_j)^{1-\alpha}}
+                      {\Gamma(2-\alpha)\,(t_j-t_{j-1})}
+
+    Any order fits the forces of the ramp, so the hold alone decides, without an estimator.
+    """
     ends = test.times[: test.hold + 1]
 
     def misfit(order: float) -> float:
