@@ -243,20 +243,11 @@ def parameters_of(contact: Contact, recording: Recording) -> dict[str, Any]:
 
 
 class Trial(NamedTuple):
-    """One contact, its estimate, and the least deviations of ln G, ln Gn, alpha (3,)."""
+    """One contact, its result, and its errors over the bound (3,); None: there is none."""
 
     contact: Contact
     outcome: Outcome
-    bound: Array | None
-
-    @property
-    def over_bound(self) -> Array | None:
-        """Errors over the bound (3,); None: no bound or no estimate."""
-        last = self.outcome.contacts[-1] if self.outcome.contacts else None
-        if self.bound is None or last is None or last.estimate is None:
-            return None
-        ratio: Array = last.error / self.bound
-        return ratio
+    over_bound: Array | None
 
 
 def run_trial(number: int, samples: int) -> Trial:
@@ -264,9 +255,12 @@ def run_trial(number: int, samples: int) -> Trial:
     contact = drawn(number, samples)
     recording = simulate(scenario_of(contact))
     parameters = parameters_of(contact, recording)
+    outcome = outcome_of(recording, through(recording, parameters)[1])
+    last = outcome.contacts[-1] if outcome.contacts else None
+    if not contact.has_bound or last is None or last.estimate is None:
+        return Trial(contact, outcome, None)
     prior = pipeline_config(check(parameters)).estimator.prior
-    bound = _bound(contact, recording, prior) if contact.has_bound else None
-    return Trial(contact, outcome_of(recording, through(recording, parameters)[1]), bound)
+    return Trial(contact, outcome, last.error / _bound(contact, recording, prior))
 
 
 def _bound(contact: Contact, recording: Recording, prior: Prior) -> Array:
