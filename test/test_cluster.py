@@ -119,14 +119,14 @@ def rows_of(table: Path) -> list[dict[str, str]]:
 
 
 def test_the_table_of_a_cluster_is_that_of_this_machine(tmp_path, cluster, capsys):
-    places = archive(tmp_path / "archive", 2)
+    places = archive(tmp_path / "archive", 1)
     (places / "broken.mcap").write_text("no bag")
     here, there = tmp_path / "here.csv", tmp_path / "there.parquet"
     assert main(command(places, here, "--workers", "1")) == 0
     assert main(command(places, there, "--scheduler", cluster.file)) == 0
-    assert "3 bags, 0 of them done before, 1 broken; 4 contacts new" in capsys.readouterr().out
+    assert "2 bags, 0 of them done before, 1 broken; 2 contacts new" in capsys.readouterr().out
     rows = rows_of(here)
-    assert len(rows) == 5 and rows_of(there.with_suffix(".csv")) == rows
+    assert len(rows) == 3 and rows_of(there.with_suffix(".csv")) == rows
 
     parquet = pytest.importorskip("pyarrow.parquet")
     found = parquet.read_table(there).to_pylist()
@@ -139,18 +139,18 @@ def test_the_table_of_a_cluster_is_that_of_this_machine(tmp_path, cluster, capsy
     ]
     # Done already, so that no worker is asked.
     assert main(command(places, there, "--scheduler", cluster.file)) == 0
-    assert "3 of them done before" in capsys.readouterr().out
+    assert "2 of them done before" in capsys.readouterr().out
 
 
 def test_a_worker_that_is_killed_in_the_middle_costs_nothing(tmp_path, cluster):
-    places, table = archive(tmp_path / "archive", 4), tmp_path / "results.csv"
+    places, table = archive(tmp_path / "archive", 3), tmp_path / "results.csv"
     whole = command(places, table, "--scheduler", cluster.file)
     running = started("fden_ros.cli", *whole)
     until(lambda: table.exists() and len(rows_of(table)) >= 2)
     os.kill(cluster.pids()[0], signal.SIGKILL)
     assert running.wait(timeout=120) == 0
     rows = rows_of(table)
-    assert len(rows) == 8 and not any(row["error"] for row in rows)
+    assert len(rows) == 6 and not any(row["error"] for row in rows)
     first = {name: value for name, value in rows[0].items() if name != "bag"}
     assert all(first.items() <= row.items() for row in rows[::2])
 
