@@ -48,9 +48,7 @@ from simulation.simulate import START_NS
 NAME = "/identifier"
 RELIABLE = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(
-    depth=1000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=1000, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 #: No sample comes too late for its partner, whichever stream a busy machine holds up.
 PATIENT = {"synchronize.max_wait": 60.0}

@@ -13,16 +13,7 @@ import numpy as np
 import pytest
 from command_helpers import answer
 
-from benchmark import (
-    changes,
-    exact,
-    harness,
-    invariance,
-    laws,
-    public,
-    real,
-    robots,
-)
+from benchmark import changes, exact, harness, invariance, laws, public, real, robots
 from benchmark.exact import contact_bounds
 from benchmark.score import Judged
 from fden_ros.core.estimation import Estimate, ParameterSet

@@ -89,10 +89,7 @@ def air(folder: Path, seed: int, count: int = 300) -> Path:
         bag.add_topic("/displacement", "geometry_msgs/msg/PointStamped")
         for index in range(count):
             stamp = START + 2_000_000 * index
-            for topic, message in (
-                ("/displacement", PointStamped()),
-                ("/force", WrenchStamped()),
-            ):
+            for topic, message in (("/displacement", PointStamped()), ("/force", WrenchStamped())):
                 message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
                 if topic == "/force":
                     message.wrench.force.z = float(rng.normal(0, 1e-3))

@@ -31,14 +31,7 @@ from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.units import NOT_STATED, STATED_SI, unit_of
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import live_topics, read_parameter_file
-from simulation.scenario import (
-    DisplacementSensor,
-    ForceSensor,
-    Geometry,
-    Scenario,
-    Site,
-    Tissue,
-)
+from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
 from simulation.simulate import simulate
 from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
@@ -119,8 +112,7 @@ def test_a_whole_recording_tells_everything():
 
 
 @pytest.mark.parametrize(
-    ("left_out", "silent"),
-    [("turns", {"tool mass"}), ("rigid", {"compliance"})],
+    ("left_out", "silent"), [("turns", {"tool mass"}), ("rigid", {"compliance"})]
 )
 def test_what_was_not_done_is_not_stated_but_asked_for(left_out, silent):
     found = look(whole_rig(**{left_out: False}))
@@ -190,12 +182,7 @@ FACE = Geometry("flat_punch", radius_m=0.01, thickness_m=0.02)
 BALL = Geometry("sphere", radius_m=0.01)
 
 
-def late(
-    delay: float,
-    *motions: Trajectory,
-    seed: int = 0,
-    geometry: Geometry = FACE,
-) -> Streams:
+def late(delay: float, *motions: Trajectory, seed: int = 0, geometry: Geometry = FACE) -> Streams:
     """Presses of simulated tissue, the displacement stamped late by `delay` [s]."""
     scenario = Scenario(
         geometry=geometry,
@@ -385,8 +372,7 @@ OTHERS = ("crtk", "franka", "xarm")
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[] if n in OTHERS else pytest.mark.statistics) for n in LAYOUTS],
+    "name", [pytest.param(n, marks=[] if n in OTHERS else pytest.mark.statistics) for n in LAYOUTS]
 )
 def test_topics_signs_and_weight_are_found_in_the_layout_of(name, tmp_path, capsys):
     force, displacement, kind, sign, compensated = LAYOUTS[name]

@@ -375,9 +375,7 @@ ROWS = [
     Row("transform_late", late_arm, parameters=FRAMES),
     Row("transform_jumps", some_places(turned), parameters=FRAMES),
     Row(
-        "transform_unset",
-        some_places(lambda one: one._replace(rotation=UNSET)),
-        parameters=FRAMES,
+        "transform_unset", some_places(lambda one: one._replace(rotation=UNSET)), parameters=FRAMES
     ),
     Row("transform_dropout_300_ms", no_places(10.0, 10.3), parameters=FRAMES),
     Row("transform_starts_late", no_places(-1.0, 8.0), parameters=FRAMES, good_from=8.0),

@@ -21,14 +21,7 @@ from live_helpers import LIMIT
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import (
-    LOSSLESS,
-    STEP_NS,
-    Bench,
-    Live,
-    active,
-    identifier,
-)
+from ros_helpers import LOSSLESS, STEP_NS, Bench, Live, active, identifier
 from sensor_msgs.msg import JointState
 
 from fden_ros.ros.messages import to_stamp

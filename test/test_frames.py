@@ -14,15 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fault_helpers import Outcome, assert_alike, first_press, outcome_of, turn_of, undisturbed
-from frame_helpers import (
-    FRAMES,
-    TIP,
-    arm,
-    forces,
-    statics,
-    transforms,
-    write_bag,
-)
+from frame_helpers import FRAMES, TIP, arm, forces, statics, transforms, write_bag
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from pipeline_helpers import DISPLACEMENT, FORCE, Item
 from ros_helpers import assert_live_equals_replay, replayed
@@ -142,9 +134,7 @@ MESSAGES = {"force": WrenchStamped, "displacement": PoseStamped}
 
 
 def by_messages(
-    force: Callable[[Item], np.ndarray],
-    pose: Callable[[Item], Pose],
-    parameters: dict[str, Any],
+    force: Callable[[Item], np.ndarray], pose: Callable[[Item], Pose], parameters: dict[str, Any]
 ) -> Outcome:
     """Feed forces and poses of the first press as messages."""
     s = first_press()

@@ -14,21 +14,10 @@ from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
-from ros_helpers import (
-    Bench,
-    Live,
-    active,
-    assert_live_equals_replay,
-    stamp,
-)
+from ros_helpers import Bench, Live, active, assert_live_equals_replay, stamp
 from std_srvs.srv import Trigger
 
-from fden_ros.core.outputs import (
-    Classification,
-    ContactSummary,
-    DynamicModulus,
-    TissueState,
-)
+from fden_ros.core.outputs import Classification, ContactSummary, DynamicModulus, TissueState
 from fden_ros.parameters import PARAMETERS
 from fden_ros.recording.reader import BagReader, read_truth
 from simulation.bag import write_recording

@@ -46,10 +46,7 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
 }
-IMPORT_NAMES = {
-    "pyyaml": "yaml",
-    "universal-pathlib": "upath",
-}
+IMPORT_NAMES = {"pyyaml": "yaml", "universal-pathlib": "upath"}
 
 
 def manifest(path: str = "package.xml") -> ElementTree.Element:

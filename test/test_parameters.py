@@ -19,11 +19,7 @@ from pipeline_helpers import LIVER_PARAMETERS, refusal
 from sensor_msgs.msg import JointState
 
 from benchmark.trial import through
-from fden_ros.core import (
-    ContactSummary,
-    Status,
-    TissueState,
-)
+from fden_ros.core import ContactSummary, Status, TissueState
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import NOTHING_UNKNOWN, Uncertainty
 from fden_ros.core.law import FlatPunch, PassThrough, Sphere, TorsionalRheometer

@@ -39,10 +39,7 @@ def scaled(
     return pipeline, summaries_of(outputs)
 
 
-@pytest.mark.parametrize(
-    ("peak", "size", "stress"),
-    [("10 pN", 1e-5, 1.0), ("2 kN", 5.0, 1e3)],
-)
+@pytest.mark.parametrize(("peak", "size", "stress"), [("10 pN", 1e-5, 1.0), ("2 kN", 5.0, 1e3)])
 def test_a_press_is_the_same_tissue_in_any_size(peak: str, size: float, stress: float) -> None:
     _, (summary,) = scaled(size, stress, force__noise_floor=1e-16)
     estimate, slope = summary.estimate, summary.measured.loading

@@ -22,11 +22,7 @@ from fden_ros.simulation import Column, FdenModel
 from fden_ros.simulation import Tissue as SteppedTissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
 from simulation.contact import contacts_of_moves
-from simulation.disturbance import (
-    Disturbances,
-    Phases,
-    SurfaceMotion,
-)
+from simulation.disturbance import Disturbances, Phases, SurfaceMotion
 from simulation.scenario import (
     DisplacementSensor,
     ForceSensor,
@@ -122,13 +118,7 @@ STEP = 1e-3
 TOLERANCE = 1e-4
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        LIVER,
-        FdenModel(500.0, 8.0, 0.32),
-    ],
-)
+@pytest.mark.parametrize("model", [LIVER, FdenModel(500.0, 8.0, 0.32)])
 @pytest.mark.parametrize(
     ("times", "strains"),
     [

@@ -22,14 +22,7 @@ from fden_ros.advice import FLAGS
 from fden_ros.core.classification import ClassProbabilities
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.law import ApparentStiffness, FlatPunch
-from fden_ros.core.outputs import (
-    ContactSummary,
-    Decided,
-    Flag,
-    Phase,
-    Status,
-    TissueState,
-)
+from fden_ros.core.outputs import ContactSummary, Decided, Flag, Phase, Status, TissueState
 from fden_ros.core.report import apparent_stiffness_of
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.offline.advice import findings
@@ -44,14 +37,7 @@ from fden_ros.ros.messages import (
     summary_of,
     type_name,
 )
-from simulation.scenario import (
-    DisplacementSensor,
-    ForceSensor,
-    Geometry,
-    Scenario,
-    Site,
-    Tissue,
-)
+from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
 

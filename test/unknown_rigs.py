@@ -130,11 +130,7 @@ class _Mount:
 
 
 def simulate_rig(
-    seed: int,
-    *,
-    along_tool: bool = False,
-    presses: int = 0,
-    **chosen: Any,
+    seed: int, *, along_tool: bool = False, presses: int = 0, **chosen: Any
 ) -> SimulatedRig:
     """Return the recording of one rig.
 
