@@ -298,6 +298,16 @@ def test_inertia_of_a_mass_beyond_the_sensor_is_found_in_the_air(seeds):
         assert detector.inertial == 0 and onset.seen
 
 
+def test_noise_of_the_force_in_a_stated_compliance_is_no_inertia():
+    rng, time = np.random.default_rng(5), np.arange(0.0, 6.0, 0.01)
+    way = np.interp(time, [2.0, 3.6, 4.0, 5.6], [-0.003, 0.005, 0.005, -0.003])
+    force = 1200.0 * np.maximum(way, 0.0)
+    noisy = force - 50.0 + 0.015 * rng.standard_normal(time.size)
+    pairs = made(noisy, way + 1e-4 * force + 1e-6 * rng.standard_normal(time.size), 100.0)
+    detector, events = detected(pairs, series_compliance=1e-4)
+    assert detector.inertial == 0 and next(iter(events.values())).seen
+
+
 @pytest.mark.parametrize(
     ("rate", "cutoff"), [(100, 3), (100, 5), (500, 10), (1000, 3), (1000, 20)]
 )

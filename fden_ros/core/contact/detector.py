@@ -300,7 +300,7 @@ class ContactDetector:
             # Anything shorter may be a press as well as the air: of a record that began in a
             # press of 0.1 N, 50 ms looked like air.
             came &= not is_measured or onset_ns - pairs[0].stamp_ns > MIN_CHUNKS * CHUNK_NS
-        mass, inertia = approach.inertia()
+        mass, inertia = approach.inertia(self._config.series_compliance)
         if inertia > SLIGHT * float(approach.force[approach.first :].max()):
             # Inertia hides the touch: the surface was found up to 5 mm too deep.
             came, self.inertial, self.mass = False, self.inertial + 1, mass

@@ -72,12 +72,15 @@ class Approach(NamedTuple):
         way = self.displacement
         return float(np.max(way - np.minimum.accumulate(way))) > _clear_way(way)
 
-    def inertia(self) -> tuple[float, float]:
+    def inertia(self, compliance: float) -> tuple[float, float]:
         """Return the mass beyond the sensor [kg] and its largest force in the air [N]; 0: none.
 
-        A second difference over n samples is the mean of the acceleration under a triangle.
+        The noise of the force is in the displacement without `compliance` [m/N], but not in the
+        measured one. A second difference over n samples is the mean of the acceleration under a
+        triangle.
         """
         way, force = self.displacement[: self.first], self.force[: self.first]
+        way = way + compliance * force
         step = float(self.time[-1]) / max(self.time.size - 1, 1)
         n = max(round(_AVERAGED / step), 1)
         if way.size < 8 * n:
