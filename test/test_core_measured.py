@@ -256,3 +256,17 @@ def test_a_bend_that_narrower_windows_show_counts_in_wider_ones():
             assert abs(found.value - true) < 3.0 * found.sd
             known += 1
     assert known >= 4
+
+
+def test_depth_in_a_dent_is_below_the_surface_of_the_first_touch():
+    times = np.arange(0.0, 5.4, 0.005)
+    corners = [2.0, 2.75, 3.2, 3.6, 4.0, 4.6]
+    places = np.interp(times, corners, [-0.002, 0.004, 0.004, 0.0, 0.004, -0.002])
+    surfaces = np.where(times < 3.2, 0.0, 0.002)
+    forces = SPRING * np.maximum(places - surfaces, 0.0)
+    forces += 1e-3 * np.random.default_rng(6).standard_normal(times.size)
+    parameters = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
+    found = summaries_of(of_columns(parameters, times, forces, places)[1])
+    assert [one.site_id for one in found] == [1, 1]
+    for one in found:
+        assert one.measured.loading.depth == pytest.approx(0.004, abs=3e-4)

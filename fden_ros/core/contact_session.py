@@ -68,7 +68,7 @@ class ContactSession:
         """
         self._sites.forget()
         self._contact: Contact | None = None  # the newest
-        #: Place of the newest contact [m], not a number where none was seen.
+        #: Surface of the tissue at the newest contact [m], not a number where none was seen.
         self.surface = math.nan
         #: Of the force at its touch: bias and noise [N], and the time of a filter [s].
         self.air = 0.0, 0.0, 0.0
@@ -185,10 +185,12 @@ class ContactSession:
         late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
         onset = onset._replace(filter_time=max(late, 0.0))
         self._tilt.see(newest.tilt)
-        self.surface = onset.displacement if onset.seen else math.nan
         self.air = onset.bias, onset.noise_sd, onset.filter_time
         site = self._sites.of(onset, self._detector.left_unseen_ns)
         site.check_history(onset)
+        found = onset.displacement if onset.seen else math.nan
+        # A dent that has not recovered is no surface.
+        self.surface = site.origin if site.is_observed else found
         self.contact_count += 1
         is_air_proved = self._contact is not None and self._contact.is_air_proved
         self._contact = Contact(self.contact_count, onset, site, self._common, is_air_proved)
