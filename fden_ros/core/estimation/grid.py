@@ -532,7 +532,7 @@ def _is_near(law: Law, box: Box, other: Box) -> bool:
     sds = other.deviations[is_open]
     ratio = sds / box.deviations[is_open]
     moved = np.abs(other.mean - box.mean)[is_open] / sds
-    return bool(np.all(moved < 0.4) and np.all((ratio > 0.7) & (ratio < 1.4)))
+    return bool(np.all(moved < 0.4) and np.all((ratio > 0.6) & (ratio < 1.4)))
 
 
 def leads_to(grid: Grid, other: Grid) -> bool:
