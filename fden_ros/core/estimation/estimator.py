@@ -33,11 +33,12 @@ from fden_ros.core.estimation.small_motion import SmallMotion
 _UNSEEN = 0.5
 #: Odds at which a place is dropped at the end of a press, and within it [1].
 _ODDS, _FAR = 20.0, 200.0
-#: Between two grids the likelihood is that of the leading scales: a hypothesis is weighed anew
-#: where the logarithm of its odds has changed by this.
-_STALE = 2.0
+#: Between two grids the likelihood is that of the leading scales. So a hypothesis is weighed anew
+#: where the logarithm of its odds has changed by the first, and, with the likeliest one, before it
+#: is dropped, where there are more cells since its newest grid than the second.
+_STALE, _FRESH = 2.0, 8
 #: Least time between two rounds [s].
-_ROUND_TIME = 0.04
+_ROUND_TIME = 0.03
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -152,11 +153,7 @@ class GridEstimator(Estimator):
         A block of a slow sensor has the time of several.
         """
         self._note_odds()
-        possible, best = self._possible(_FAR), max(one.log_weight for one in self._hypotheses)
-        stale = [
-            one for one in self._hypotheses if abs(one.log_weight - best - one.laid_odds) > _STALE
-        ]
-        self._hypotheses = [one for one in self._hypotheses if one in possible or one in stale]
+        stale = self._drop()
         before, self._block_at = self._block_at, self._now
         if self._now - self._round_at < _ROUND_TIME:
             return
@@ -171,6 +168,27 @@ class GridEstimator(Estimator):
                 break
             self._round_at = self._now
             self._note_odds()
+
+    def _drop(self) -> list[_Hypothesis]:
+        """Drop places that are far less likely; return those to be weighed anew before."""
+        best = max(self._hypotheses, key=lambda one: one.log_weight)
+        possible = self._possible(_FAR)
+        unlikely = [one for one in self._hypotheses if one not in possible]
+        stale = [
+            one
+            for one in self._hypotheses
+            if abs(one.log_weight - best.log_weight - one.laid_odds) > _STALE
+            or (unlikely and (one is best or one in unlikely) and one.place.behind > _FRESH)
+        ]
+        if best not in stale:
+            # Of one that is not settled yet, rounds are to come.
+            dropped = [
+                one
+                for one in unlikely
+                if one not in stale and (one.place.is_settled or not one.place.is_due)
+            ]
+            self._hypotheses = [one for one in self._hypotheses if one not in dropped]
+        return stale
 
     def _note_odds(self) -> None:
         """Take note of the odds of places whose grid is new."""

@@ -483,8 +483,10 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     own = _weighed(law, noise, start)
     linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
     weights, beta = tempered(log, least_effective(law))
-    is_coarse = beta < 1.0 or not have_width(places_in(law, start.box, nodes), weights)
-    has_moments = law.has_close_nodes and not is_coarse
+    is_coarse, has_moments = beta < 1.0, False
+    if law.has_close_nodes:
+        is_coarse |= not have_width(places_in(law, start.box, nodes), weights)
+        has_moments = not is_coarse
     box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
     if start.rounds >= _DAMPED_FROM and not is_coarse:
         box = _between(start.box, box)
@@ -532,7 +534,7 @@ def _is_near(law: Law, box: Box, other: Box) -> bool:
     sds = other.deviations[is_open]
     ratio = sds / box.deviations[is_open]
     moved = np.abs(other.mean - box.mean)[is_open] / sds
-    return bool(np.all(moved < 0.4) and np.all((ratio > 0.6) & (ratio < 1.4)))
+    return bool(np.all(moved < 0.4) and np.all((ratio > 0.7) & (ratio < 1.4)))
 
 
 def leads_to(grid: Grid, other: Grid) -> bool:

@@ -145,6 +145,11 @@ class PlacePosterior:
         return found
 
     @property
+    def behind(self) -> int:
+        """Blocks since the newest grid."""
+        return len(self._tails)
+
+    @property
     def is_settled(self) -> bool:
         """Whether the newest grid resolves the posterior by now."""
         own = self.filter

@@ -31,7 +31,7 @@ from fden_ros.core.arrays import Array
 #: Least duration of a block [s], and how long single samples are kept behind the first [s].
 BLOCK_TIME, TOUCH_TIME = 0.01, 0.05
 #: A block may last for this part of the time of its line [1], and as long at most [s].
-_GROWTH, _LONGEST = 0.05, 0.03
+_GROWTH, _LONGEST = 0.025, 0.03
 #: How far the motion may be off its line beside its noise [1]; times that are the same [s].
 LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
