@@ -33,7 +33,6 @@ from fden_ros.core.estimation.grid import (
     Grid,
     Stiffness,
     cut,
-    have_width,
     least_effective,
     log_evidence_of,
     log_sum,
@@ -173,7 +172,7 @@ class Filter:
         # Nodes too far apart for their posterior: one of them alone would seem to know it.
         own = cut(grid.law, grid.nodes, log)
         self.weights, beta = tempered(own, least_effective(grid.law))
-        self.is_coarse = beta < 1.0 or not have_width(grid.places, self.weights)
+        self.is_coarse = beta < 1.0
         self.log_evidence = log_evidence_of(grid.law, log)
 
     @property

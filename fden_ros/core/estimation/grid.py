@@ -483,18 +483,22 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
     own = _weighed(law, noise, start)
     linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
     weights, beta = tempered(log, least_effective(law))
-    is_coarse, has_moments = beta < 1.0, False
+    is_coarse, has_width = beta < 1.0, True
     if law.has_close_nodes:
-        is_coarse |= not have_width(places_in(law, start.box, nodes), weights)
-        has_moments = not is_coarse
+        has_width = have_width(places_in(law, start.box, nodes), weights)
+    has_moments = law.has_close_nodes and not is_coarse
     box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
-    if start.rounds >= _DAMPED_FROM and not is_coarse:
+    if start.rounds >= _DAMPED_FROM and has_width:
         box = _between(start.box, box)
     mixture, scales = _likely_scales(law, own, start)
     total = float(log_sum(log))
     is_near = abs(total - start.log_evidence) < _SETTLED_GAIN or start.is_continued
     settled = (
-        not is_coarse and scales == start.scales and is_near and _is_near(law, start.box, box)
+        not is_coarse
+        and has_width
+        and scales == start.scales
+        and is_near
+        and _is_near(law, start.box, box)
     )
     about = _relinearised(law, own, start, weights)
     if settled:

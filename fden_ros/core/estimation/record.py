@@ -9,8 +9,6 @@ Blocks that follow one line within the noise of the motion have that line, or no
 would count as motion.
 
 - Near the touch every sample is a block of its own.
-- Blocks grow with the time since the motion last turned, as the relaxation is one of its
-  logarithm.
 - A block ends early where the motion leaves its line.
 - Where the probe rests, blocks grow with the time since the motion last changed.
 
@@ -28,10 +26,8 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Least duration of a block [s], and how long single samples are kept behind the first [s].
+#: Duration of a block [s], and how long single samples are kept behind the first [s].
 BLOCK_TIME, TOUCH_TIME = 0.01, 0.05
-#: A block may last for this part of the time of its line [1], and as long at most [s].
-_GROWTH, _LONGEST = 0.025, 0.03
 #: How far the motion may be off its line beside its noise [1]; times that are the same [s].
 LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
@@ -189,7 +185,7 @@ class Record:
         self._path_begin = 0  # its first block
         self._open: Cell | None = None
         self._start: float | None = None
-        self._changed = self._turned = 0.0  #: when the motion changed last, and left its line [s]
+        self._changed = 0.0
         self._block_time = BLOCK_TIME
         self.deepest = -math.inf  #: largest indentation observed [1]
 
@@ -207,14 +203,12 @@ class Record:
         `is_observed`: its stress counts, not only its motion.
         """
         if self._start is None:
-            self._start = self._changed = self._turned = time
-        done, cell = list[Block](), self._open
-        if cell is not None:
-            turns = self._turns(cell, time, indentation)
-            if turns:
-                self._turned = time
-            if self._is_complete(cell, time, is_observed, turns=turns):
-                done = self.close()
+            self._start = self._changed = time
+        done: list[Block] = []
+        if self._open is not None and self._is_complete(
+            self._open, time, indentation, is_observed
+        ):
+            done = self.close()
         if self._open is None:
             self._open = Cell(time, is_observed)
         self._open.add(time, indentation, stress)
@@ -222,15 +216,7 @@ class Record:
             self.deepest = max(self.deepest, indentation)
         return done
 
-    def _turns(self, cell: Cell, time: float, indentation: float) -> bool:
-        """Whether a sample is off the line of a block."""
-        if cell.count < 2:
-            return False
-        spread = math.sqrt(1.0 + 4.0 / cell.count)
-        most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
-        return abs(indentation - cell.at(time)) > most
-
-    def _is_complete(self, cell: Cell, time: float, observed: bool, *, turns: bool) -> bool:
+    def _is_complete(self, cell: Cell, time: float, indentation: float, observed: bool) -> bool:
         assert self._start is not None
         if cell.is_observed != observed:
             return True
@@ -239,8 +225,13 @@ class Record:
             return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        longest = max(self._block_time, min(_GROWTH * (cell.start - self._turned), _LONGEST))
-        return turns or time - cell.start > longest - 0.5 * step + SAME_TIME
+        if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
+            return True
+        if cell.count < 2:
+            return False
+        spread = math.sqrt(1.0 + 4.0 / cell.count)
+        most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
+        return abs(indentation - cell.at(time)) > most
 
     def close(self) -> list[Block]:
         """End the open block; return what this completes."""
