@@ -58,7 +58,7 @@ PLAYS = [*first((3e-4, 5e-4), (3e-4, None), (6e-4, 5e-4)), (6e-4, None)]
 
 
 @pytest.mark.parametrize("play", PLAYS, ids=str)
-@pytest.mark.parametrize("numbers", counts(1, 8))
+@pytest.mark.parametrize("numbers", counts(3, 8))
 def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good_status(
     play, numbers
 ):
