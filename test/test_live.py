@@ -447,9 +447,9 @@ def is_refused(feed: LiveTissue, cause: Cause) -> bool:
 LONG_DEADLINE = 1.0
 
 
-def touch(command: Any, feed: TissueFeed, states: list[TissueState]) -> None:
-    """Touch anew and wait until there is an estimate to rely on."""
-    command.publish(JointState(name=["z"], position=[-0.004]))
+def touch(command: Any, feed: TissueFeed, states: list[TissueState], x: float = 0.0) -> None:
+    """Touch a place anew and wait until there is an estimate to rely on."""
+    command.publish(JointState(name=["x", "z"], position=[x, -0.004]))
     wait_for(lambda: is_refused(feed, Cause.NO_CONTACT), "the air")
     # Data that began in contact want the air for `site.timeout`, 2 s, and the probe has to leave.
     known_ns = states[-1].stamp_ns + 3 * NANOSECONDS
@@ -493,7 +493,8 @@ def test_a_frozen_killed_and_restarted_node_is_noticed(simulator):
             lose_by(lambda: os.kill(node.pid, signal.SIGSTOP))
             os.kill(node.pid, signal.SIGCONT)
             wait_for(lambda: not is_refused(feed, Cause.LOST), "the node to go on")
-            touch(command, feed, states)
+            # Another place: of the first a part of the contact may not have been seen.
+            touch(command, feed, states, x=0.02)
             lose_by(node.kill)
         with node_process("identifier", IDENTIFIER, file=PARAMETERS):
             wait_for(lambda: feed.restarts == 1, "the restart to be noticed")
