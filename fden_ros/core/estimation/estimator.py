@@ -195,11 +195,8 @@ class GridEstimator(Estimator):
         best = max(one.log_weight for one in self._hypotheses)
         for one in self._hypotheses:
             if (own := one.place.filter) is not None and own.grid is not one.grid:
-                one.grid, one.laid_odds, self._round_at = (
-                    own.grid,
-                    one.log_weight - best,
-                    self._now,
-                )
+                one.grid, one.laid_odds = own.grid, one.log_weight - best
+                self._round_at = self._now
 
     def release(self) -> Estimate:
         """End the press; return the estimate."""

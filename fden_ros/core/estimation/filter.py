@@ -33,6 +33,7 @@ from fden_ros.core.estimation.grid import (
     Grid,
     Stiffness,
     cut,
+    have_width,
     least_effective,
     log_evidence_of,
     log_sum,
@@ -80,6 +81,8 @@ class Filter:
         Of the nodes; tempered where these are too coarse for the posterior.
     is_coarse : bool
         They are.
+    has_width : bool
+        The weights resolve each axis of the grid's box.
     log_evidence : float
         Of the record by now.
     products : ndarray, shape (k, 1 + d + k + M)
@@ -91,6 +94,7 @@ class Filter:
     stiffness: Stiffness
     weights: Array
     is_coarse: bool
+    has_width: bool
     log_evidence: float
 
     def __init__(self, grid: Grid) -> None:
@@ -173,6 +177,7 @@ class Filter:
         own = cut(grid.law, grid.nodes, log)
         self.weights, beta = tempered(own, least_effective(grid.law))
         self.is_coarse = beta < 1.0
+        self.has_width = have_width(grid.places, self.weights)
         self.log_evidence = log_evidence_of(grid.law, log)
 
     @property

@@ -27,7 +27,6 @@ from fden_ros.core.estimation.grid import (
     Start,
     begun,
     continued,
-    have_width,
     laid,
     leads_to,
     log_evidence_of,
@@ -154,7 +153,7 @@ class PlacePosterior:
     def is_settled(self) -> bool:
         """Whether the newest grid resolves the posterior by now."""
         own = self.filter
-        if own is None or own.is_coarse or not have_width(own.grid.places, own.weights):
+        if own is None or own.is_coarse or not own.has_width:
             return False
         return own.grid.is_settled or self.now < self._agrees_until
 
