@@ -249,6 +249,14 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
         np.testing.assert_array_equal(found, whole[points:])
 
 
+def test_press_with_many_corners_has_few_cells() -> None:
+    samples = pressed(2)
+    # Stamps of a busy computer: each tenth sample seems to come late.
+    stamps = samples.times + np.where(np.arange(samples.times.size) % 10 == 0, 0.8 / RATE_HZ, 0.0)
+    press = gathered(blocks_of(samples._replace(times=stamps)), 0.0, 40)
+    assert press.middles.size <= 40 + 2 * 6
+
+
 def test_same_samples_in_other_parts_give_the_same_bits() -> None:
     found = [released(pressed(3), Uncertainty(), size)[1] for size in (1, 5, 37)]
     assert len({(one.mean.tobytes(), one.covariance.tobytes()) for one in found}) == 1

@@ -33,8 +33,8 @@ CREEP_RATES: Array = np.append(RATES, 0.0)
 #: Parts into which the way to the largest indentation is cut [1], and what it counts less where
 #: the motion begins: the stress bends most where it is largest.
 _DEPTH_STEPS, _LEAST_DEPTH = 80.0, 0.4
-#: Sharpest corners of the motion that are kept [1].
-_CORNERS = 12
+#: Sharpest corners of the motion that are kept, and that no cell lies across [1].
+_CORNERS, _TURNS = 12, 6
 #: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
 _FORGOTTEN = -60.0
 
@@ -242,13 +242,15 @@ def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
 def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     """Return the cell of each observed block, at most some `most` cells.
 
-    They are put together where stress and age of the motion change little, and never across a
-    corner of the motion.
+    They are put together where stress and age of the motion change little, and never across one
+    of its sharpest corners.
     """
     m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
     if m <= most:
         return np.arange(m)
-    turns = corner > max(0.2 * float(corner.max()), 1e-4)
+    turns = np.zeros(m, dtype=bool)
+    turns[np.argsort(-corner, kind="stable")[:_TURNS]] = True
+    turns &= corner > max(0.2 * float(corner.max()), 1e-4)
     since = middles - np.maximum.accumulate(np.where(turns, middles - 1e-3, rows.times[0]))
     scale = max(float(np.abs(rows.stresses).max()), 1e-12)
     change = np.abs(np.diff(rows.stresses, prepend=0.0)) / scale
