@@ -277,6 +277,11 @@ class Site(Standing):
 
     # The end of a contact
 
+    def settle(self) -> None:
+        """Do a part of what the end of a contact takes."""
+        if self._estimator is not None and self._is_pressed:
+            self._estimator.settle()
+
     def leave(self) -> None:
         """Bring the estimate to its best at the end of a contact."""
         estimator = self._estimator

@@ -21,8 +21,9 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 
 #: Samples from before the detection of a touch are backfilled within about this time [s].
 _CATCH_UP_TIME = 0.03
-#: A summary is given this long after the release [ns].
-_SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
+#: A summary is given this long after the release [ns]; meanwhile the estimator does a part of its
+#: last work each time that the second has passed, so that no sample waits for all of it.
+_SUMMARY_AFTER_NS, _SETTLE_EVERY_NS = 4 * NANOSECONDS // 10, 3 * NANOSECONDS // 100
 
 
 class State(enum.Enum):
@@ -100,7 +101,7 @@ class Contact:
         self._behind: deque[Pair] = deque()  # samples that are still to be added
         self._pace = 1
         # From the release on
-        self._end_ns = 0
+        self._end_ns = self._settled_ns = 0
         self._summary: ContactSummary | None = None
         self._air: AirAfter | None = None  # None: it cannot be compared with the air before
         self._was_air_proved = is_air_proved
@@ -264,6 +265,9 @@ class Contact:
 
     def hover(self, pair: Pair) -> Iterable[ContactSummary]:
         """Add a sample in the air; give a second summary once it contradicts the contact."""
+        if self.state is State.RELEASED and pair.stamp_ns - self._settled_ns >= _SETTLE_EVERY_NS:
+            self._settled_ns = pair.stamp_ns
+            self.site.settle()
         if self._air is None or self.state is State.CLOSED:
             return ()
         self._air.average(pair)

@@ -12,7 +12,7 @@ has odds of 20 to 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,6 +88,7 @@ class GridEstimator(Estimator):
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
         self._block_at = self._round_at = 0.0  #: the newest block and round [s]
         self._newest = self._prior()  #: estimate
+        self._ending: Iterator[None] | None = None  #: the last rounds of a press
 
     def may_continue(self, other: GridEstimator, shift: float, log_wider: float) -> None:
         """Let the next touch, the first, be perhaps of the place that another one was on.
@@ -198,12 +199,22 @@ class GridEstimator(Estimator):
                 one.grid, one.laid_odds = own.grid, one.log_weight - best
                 self._round_at = self._now
 
+    def settle(self) -> None:
+        """End the press by one round more; see :meth:`~.estimation.Estimator.settle`."""
+        self._ending = self._ending or self._last_rounds()
+        next(self._ending, None)
+
+    def _last_rounds(self) -> Iterator[None]:
+        for one in self._hypotheses:
+            yield from one.place.release()
+        self._hypotheses = self._possible(_ODDS)
+        yield from self.best.ask_rival()
+
     def release(self) -> Estimate:
         """End the press; return the estimate."""
-        for one in self._hypotheses:
-            one.place.release()
-        self._hypotheses = self._possible(_ODDS)
-        self.best.ask_rival()
+        for _ in self._ending or self._last_rounds():
+            pass
+        self._ending = None
         parts = self._parts()
         return self._estimate(parts)._replace(components=_components(parts))
 

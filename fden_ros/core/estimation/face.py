@@ -96,6 +96,9 @@ class Estimator:
         """
         raise NotImplementedError
 
+    def settle(self) -> None:
+        """Do a part of what the release takes: the probe is off the tissue."""
+
     def release(self) -> Estimate:
         """End the press; return the estimate."""
         raise NotImplementedError

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -749,12 +749,12 @@ def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -
     return law.stressed_by(found, stresses)
 
 
-def solve(law: Law, noise: Noise, start: Start | None = None, most: int = 12) -> Grid:
-    """Lay grids until one is settled, at most as many times."""
-    start = start or begun(law, noise)
+def rounds(law: Law, noise: Noise, most: int = 12) -> Iterator[Grid]:
+    """Lay grids from nothing until one is settled, at most as many times."""
+    start = begun(law, noise)
     for _ in range(most):
         grid = laid(law, noise, start)
+        yield grid
         if grid.is_settled:
             break
         start = grid.after
-    return grid

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,7 @@ from fden_ros.core.estimation.grid import (
     leads_to,
     log_evidence_of,
     moments_of,
-    solve,
+    rounds,
 )
 from fden_ros.core.estimation.law import Law
 from fden_ros.core.estimation.nuisance import Nuisance, rig_of, spot_of
@@ -360,31 +361,36 @@ class PlacePosterior:
         self._ended.append(self._press)
         self._press = None
 
-    def release(self) -> None:
-        """End the press: rounds until the grid is settled."""
+    def release(self) -> Iterator[None]:
+        """End the press: rounds until the grid is settled, one at a time."""
         if self._record is None:
             return
         for block in self._record.close():
             self._append(block)
         if self._press is not None:
             self.lay(most=_ENDED)
+            yield
             if self.filter is not None and self.elapsed > _AFRESH_END * self._afresh_at:
-                own = self.filter.grid
-                self._take(_likelier(own, solve(own.law, own.noise, most=_LAST_ROUNDS)))
+                own = likelier = self.filter.grid
+                for afresh in rounds(own.law, own.noise, most=_LAST_ROUNDS):
+                    likelier = _likelier(own, afresh)
+                    yield
+                self._take(likelier)
             for _ in range(_LAST_ROUNDS):
                 if self.filter is None or self.filter.grid.is_settled:
                     break
                 self.lay()
+                yield
             self._agrees_until = -math.inf
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
             self._forget()
 
-    def ask_rival(self) -> None:
-        """Find the probability of a plateau at the end of the press."""
+    def ask_rival(self) -> Iterator[None]:
+        """Find the probability of a plateau at the end of the press, one round at a time."""
         if self.filter is not None:
-            self._rival.end(self.filter, self.elapsed)
+            yield from self._rival.end(self.filter, self.elapsed)
 
     def _forget(self) -> None:
         """Keep of the oldest press what the tissue remembers."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.special import expit
@@ -76,8 +77,8 @@ class Rival:
         if self._grid.is_settled:
             self.probability = _probability(state.grid, self._grid)
 
-    def end(self, state: Filter, elapsed: float) -> None:
-        """Lay all rounds, at the end of a press after this time [s]."""
+    def end(self, state: Filter, elapsed: float) -> Iterator[None]:
+        """Lay all rounds, one at a time, at the end of a press after this time [s]."""
         is_settled = self._grid is not None and self._grid.is_settled
         if not self._can_tell or (is_settled and elapsed < _GROWTH_END * self._asked_at):
             return
@@ -85,6 +86,7 @@ class Rival:
         self._rounds, is_settled = 0, False
         while not is_settled and self._rounds < _ROUNDS and state.grid.is_settled:
             self.lay(state)
+            yield
             is_settled = self._grid is not None and self._grid.is_settled
 
 
