@@ -15,13 +15,12 @@ from typing import Any
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.streams import (
     NANOSECONDS,
-    NumberOrVector,
     Position,
     Quaternion,
     Reason,
     normalised,
 )
-from fden_ros.message_kinds import FORCES, PLACES, MessageKind, kind_of
+from fden_ros.message_kinds import FORCES, PLACES, MessageKind, NumberOrVector, kind_of
 from fden_ros.parameters import Parameters, frames_config, tool_weight, unit_vector
 
 #: Of ``/tf``.

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-from fden_ros.core.streams import NumberOrVector, Quaternion
+from fden_ros.core.streams import Quaternion, Vector
+
+#: Of a force or a place: a number, or a vector that is projected on the configured axis.
+NumberOrVector = float | Vector
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from fden_ros.configure.streams import Streams
 from fden_ros.configure.units import NOT_STATED, Unit, unit_of
 from fden_ros.core.arrays import Array
 from fden_ros.core.pipeline import Pipeline
-from fden_ros.core.streams import NumberOrVector, Quaternion, Reason
+from fden_ros.core.streams import Quaternion, Reason
 from fden_ros.errors import InputError
 from fden_ros.inputs import TYPE_NAMES, Inputs
-from fden_ros.message_kinds import MessageKind
+from fden_ros.message_kinds import MessageKind, NumberOrVector
 from fden_ros.parameters import Parameters, check
 from fden_ros.progress import progress
 from fden_ros.recording.headings import Heading

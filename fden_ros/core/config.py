@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, field
 
 from fden_ros.core.classification import (
@@ -19,7 +20,7 @@ from fden_ros.core.estimation import EstimatorConfig
 from fden_ros.core.law import Geometry, GeometryConfig
 from fden_ros.core.parameter import parameter
 from fden_ros.core.plausibility import PlausibilityConfig
-from fden_ros.core.streams import SynchronizeConfig
+from fden_ros.core.streams import Position, SynchronizeConfig
 
 #: Touches farther apart than this part of the probe's radius [1] belong to two sites. These share
 #: most of their tissue but not its memory: a scan of 3 mm has a site at each touch. Positions are
@@ -103,6 +104,12 @@ class PipelineConfig:
         """Lateral distance beyond which a contact is at a new site [m]."""
         own = min(max(_SITE_PART * self.geometry.probe_radius, _LEAST_SITE), _LARGEST_SITE)
         return self.contact.site_distance or own
+
+    def is_apart(self, a: Position, b: Position) -> bool:
+        """Whether two positions are of different sites, by their distance across the approach."""
+        axis, offset = self.contact.approach_axis, [q - p for p, q in zip(a, b, strict=True)]
+        along = sum(o * n for o, n in zip(offset, axis, strict=True))
+        return math.dist(offset, [along * n for n in axis]) > self.site_distance
 
     @property
     def dither_frequencies(self) -> tuple[float, ...]:

@@ -37,7 +37,7 @@ from fden_ros.core.outputs import (
     order_source,
 )
 from fden_ros.core.plausibility import stands_against
-from fden_ros.core.streams import NANOSECONDS, Pair, Position, lateral_distance
+from fden_ros.core.streams import NANOSECONDS, Pair, Position
 
 #: Time without an oscillation [s] after which it is missed.
 _SILENT_TIME = 10.0
@@ -230,9 +230,7 @@ class ContinuousSession:
     def _is_elsewhere(self, place: Place, position: Position | None) -> bool:
         if place.first is None or position is None:
             return (place.first is None) != (position is None)
-        config = self._config
-        apart = lateral_distance(config.contact.approach_axis, place.first, position)
-        return apart > config.site_distance
+        return self._config.is_apart(place.first, position)
 
     def _leave(self, stamp_ns: int, *, complete: bool) -> list[Output]:
         place, self._place = self._place, None

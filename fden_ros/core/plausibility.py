@@ -255,7 +255,7 @@ def of_stream(name: str, guard: StreamGuard, limit: float) -> str:
         )
     if 2 * guard.too_close > max(USUAL_SAMPLES, guard.usual.count):
         return too_fast(guard.close_step)
-    usual_step = guard.usual.value_ns / NANOSECONDS
+    usual_step = guard.usual.value / NANOSECONDS
     if guard.usual.is_known and usual_step < _FASTEST_STEP:
         return too_fast(usual_step)
     return ""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.streams import Pair, Position, lateral_distance
+from fden_ros.core.streams import Pair, Position
 
 #: A probe is dragged beyond this multiple of the distance of two sites, so that noise of the
 #: position does not count.
@@ -26,9 +26,7 @@ class Whereabouts:
         """Whether a position is of another site; None: not known."""
         if self.touched is None or position is None:
             return None
-        config = self._config
-        apart = lateral_distance(config.contact.approach_axis, self.touched, position)
-        return apart > config.site_distance
+        return self._config.is_apart(self.touched, position)
 
     def is_at(self, position: Position | None) -> bool:
         """Whether a position is known to be of this site."""

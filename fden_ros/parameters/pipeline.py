@@ -12,7 +12,7 @@ from dataclasses import replace
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import Uncertainty
 from fden_ros.core.law import TorsionalRheometer
-from fden_ros.core.streams import FramesConfig, ToolPathConfig, ToolWeight
+from fden_ros.core.streams import FramesConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.parameter import Vector
 from fden_ros.parameters.table import Parameters
@@ -41,16 +41,21 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             "is used only with a standard deviation, such as 0.001"
         )
     axis, stated = map(unit_vector, (displacement.axis, displacement.surface_normal))
-    normal = stated if any(stated) else None
-    path = ToolPathConfig(axis, normal) if displacement.along_tool else None
+    frames, along_tool = frames_config(parameters), displacement.along_tool
+    normal = stated if along_tool and any(stated) else None
     return replace(
         core,
         library=library_for(parameters.library, geometry),
         geometry=geometry,
-        synchronize=replace(core.synchronize, frames=frames_config(parameters), tool_path=path),
+        synchronize=replace(
+            core.synchronize,
+            frames=frames,
+            tool_axis=axis if along_tool else None,
+            tool_normal=normal,
+        ),
         # Along the tool two touches may differ and be of one site; without a normal there is no
         # such line.
-        contact=replace(core.contact, approach_axis=stated if path is not None else axis),
+        contact=replace(core.contact, approach_axis=stated if along_tool else axis),
         estimator=replace(core.estimator, uncertainty=uncertainty_of(parameters)),
     )
 

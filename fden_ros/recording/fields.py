@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from fden_ros.core.streams import NumberOrVector, Quaternion
+from fden_ros.core.streams import Quaternion
 from fden_ros.errors import Hint, InputError
+from fden_ros.message_kinds import NumberOrVector
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.message_types import carried_types, decoder
 from fden_ros.recording.reader import BagReader

@@ -12,7 +12,6 @@ from fden_ros.core.streams.guard import (
     gap_before,
 )
 from fden_ros.core.streams.rotation import (
-    NumberOrVector,
     Quaternion,
     Transform,
     Vector,
@@ -25,10 +24,9 @@ from fden_ros.core.streams.samples import (
     Pair,
     Position,
     Reason,
-    lateral_distance,
 )
 from fden_ros.core.streams.synchronize import SynchronizeConfig, Synchronizer
-from fden_ros.core.streams.tool import ToolPathConfig, ToolWeight
+from fden_ros.core.streams.tool import ToolWeight
 
 __all__ = [
     "BRIEF_NS",
@@ -37,7 +35,6 @@ __all__ = [
     "NANOSECONDS",
     "USUAL_SAMPLES",
     "FramesConfig",
-    "NumberOrVector",
     "Pair",
     "Position",
     "Quaternion",
@@ -47,11 +44,9 @@ __all__ = [
     "StreamGuard",
     "SynchronizeConfig",
     "Synchronizer",
-    "ToolPathConfig",
     "ToolWeight",
     "Transform",
     "Vector",
     "gap_before",
-    "lateral_distance",
     "normalised",
 ]

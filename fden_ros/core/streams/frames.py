@@ -46,12 +46,8 @@ Moving = dict[str, Transform]
 class Frames:
     """The places of the needed frames in the base, by the transforms between them.
 
-    Parameters
-    ----------
-    make_join : callable
-        Makes what lets forces wait for a link's transforms.
-    statics : StaticLinks
-        Those known so far; added to.
+    `make_join` makes what lets forces wait for a link's transforms; static ones are added to
+    `statics`, those known so far.
     """
 
     def __init__(

@@ -20,8 +20,6 @@ from fden_ros.core.streams.samples import (
     Sample,
 )
 
-#: Smaller changes, relative to the value or to the largest change, are rounding.
-_ROUNDING = 1e-9
 #: Five samples in a row are not alike by chance. A signal that changes by the same amount in them
 #: is a ramp without noise. A force that repeats its value in them, and 5 times longer than ever
 #: before, is stuck, and dropped until it changes; unless its usual change is less than 5 of its
@@ -66,7 +64,7 @@ class Resolution:
             return
         change = value - last
         size = abs(change)
-        if size <= _ROUNDING * max(abs(value), abs(last)):
+        if math.isclose(value, last):
             self._alike = 0
             return
         is_like = abs(change - self._last_change) < TOLERANCE * size
@@ -74,8 +72,7 @@ class Resolution:
         self._last_change = change
         step = self._step or size
         self._step = min(size, step)
-        ratio = max(size, step) / self._step
-        if ratio > 1.0 / _ROUNDING or abs(ratio - round(ratio)) > TOLERANCE:
+        if abs(math.remainder(max(size, step), self._step)) > TOLERANCE * self._step:
             self._step, self._is_continuous = 0.0, True
 
 
@@ -83,8 +80,11 @@ class Usual:
     """The mean of positive values, exponential over 32 of them."""
 
     def __init__(self) -> None:
-        self.mean = 0.0
+        self.mean = self._last = 0.0
         self.count = 0
+        #: The larger of the mean of all and of the smaller one of the last two, for values that
+        #: grow, as the steps of log-spaced recordings; 0: there were none.
+        self.value = 0.0
 
     @property
     def is_known(self) -> bool:
@@ -95,26 +95,9 @@ class Usual:
         """Add a value."""
         self.count += 1
         mean = self.mean or value
-        growth = min(value, _FAR * mean) - mean
-        self.mean = mean + growth / min(self.count, USUAL_SAMPLES)
-
-
-class UsualStep(Usual):
-    """The usual step between stamps, also where the steps grow, as in log-spaced recordings.
-
-    The larger of the mean of all steps and of the shorter one of the last two.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._last_ns = 0.0
-        self.value_ns = 0.0  #: 0 before the first step [ns]
-
-    def add(self, step_ns: float) -> None:
-        """Add a step."""
-        super().add(step_ns)
-        self.value_ns = max(self.mean, min(self._last_ns, step_ns))
-        self._last_ns = step_ns
+        self.mean = mean + (min(value, _FAR * mean) - mean) / min(self.count, USUAL_SAMPLES)
+        self.value = max(self.mean, min(self._last, value))
+        self._last = value
 
 
 class StreamGuard:
@@ -134,7 +117,7 @@ class StreamGuard:
         self._newest: Sample | None = None
         self._held: Sample | None = None
         self._late_run = self._late_newest_ns = 0
-        self.usual = UsualStep()  #: between accepted stamps
+        self.usual = Usual()  #: step between accepted stamps [ns]
         self._values = ValueGuard(self.reject, limits_runs=name == "force", is_vector=is_vector)
         self.largest = 0.0  #: magnitude that was rejected as out of range
         self.too_large = 0  #: number of those samples
@@ -176,7 +159,7 @@ class StreamGuard:
         if stamp_ns <= 0:
             self.reject(Reason.ZERO_STAMP)
             return []
-        usual_ns = self.usual.value_ns
+        usual_ns = self.usual.value
         sample = Sample(self.epoch, stamp_ns, value, position, load, usual_ns, turn)
         in_time = self._in_order(sample) if self._held is None else self._after_held(sample)
         return [one for sample in in_time for one in self._values.judge(sample)]
@@ -195,7 +178,7 @@ class StreamGuard:
             return self._take(sample)
         step = sample.stamp_ns - self._newest.stamp_ns
         # Accepted at once, a stray stamp a little ahead would make all later ones late.
-        far = max(_FAR * self.usual.value_ns, 0 if self.usual.is_known else NANOSECONDS)
+        far = max(_FAR * self.usual.value, 0 if self.usual.is_known else NANOSECONDS)
         if MIN_STEP_NS <= step <= far:
             return self._take(sample)
         if step > far or step < -BRIEF_NS:
@@ -220,7 +203,7 @@ class StreamGuard:
         assert held is not None and self._newest is not None
         newest_ns = self._newest.stamp_ns
         is_ahead = held.stamp_ns > newest_ns
-        far = max(NANOSECONDS, _FAR * max(self.usual.value_ns, held.stamp_ns - newest_ns))
+        far = max(NANOSECONDS, _FAR * max(self.usual.value, held.stamp_ns - newest_ns))
         # What goes on from the newest sample, and not from one far behind it, is no jump back.
         goes_on = is_ahead or sample.stamp_ns < newest_ns
         if goes_on and MIN_STEP_NS <= sample.stamp_ns - held.stamp_ns <= far:

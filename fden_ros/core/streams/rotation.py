@@ -9,8 +9,6 @@ import math
 from typing import NamedTuple
 
 Vector = tuple[float, float, float]
-#: Of a force or a place: a number, or a vector that is projected on the configured axis.
-NumberOrVector = float | Vector
 Quaternion = tuple[float, float, float, float]
 
 #: Part by which a measured number may differ from one that it stands for. A quaternion whose
@@ -38,13 +36,7 @@ class Transform(NamedTuple):
 
 
 def normalised(quaternion: Quaternion) -> Quaternion:
-    """Return a quaternion of length 1.
-
-    Raises
-    ------
-    ValueError
-        If its length differs from 1 by more than 0.01.
-    """
+    """Return a quaternion of length 1; a ValueError says that it was far from that."""
     length = math.hypot(*quaternion)
     if not abs(length - 1.0) <= TOLERANCE:
         raise ValueError(f"the quaternion {quaternion} has length {length:g}, must be 1")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from fden_ros.core.streams.rotation import Quaternion, Vector
@@ -66,10 +65,3 @@ class Pair(NamedTuple):
     position: Position | None  #: of the probe [m]
     tilt: float = 0.0  #: of its axis against the surface's normal, where both are known [rad]
     usual_ns: float = 0.0  #: usual step of the force before it [ns]; 0: not known
-
-
-def lateral_distance(axis: Position, a: Position, b: Position) -> float:
-    """Return the distance of two positions perpendicular to the unit vector `axis` [m]."""
-    offset = [q - p for p, q in zip(a, b, strict=True)]
-    along = sum(o * n for o, n in zip(offset, axis, strict=True))
-    return math.dist(offset, [along * n for n in axis])

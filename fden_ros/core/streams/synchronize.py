@@ -22,7 +22,7 @@ from fden_ros.core.streams.guard import USUAL_SAMPLES, StreamGuard
 from fden_ros.core.streams.join import Join, Matched
 from fden_ros.core.streams.rotation import Transform, Vector
 from fden_ros.core.streams.samples import NANOSECONDS, Pair, Position, Reason, Sample
-from fden_ros.core.streams.tool import ToolPath, ToolPathConfig
+from fden_ros.core.streams.tool import ToolPath
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,11 @@ class SynchronizeConfig:
     displacement_limit: float = 10.0
     #: A force also waits for the transforms around it, whose stamps lag like the displacement's.
     frames: FramesConfig | None = None
-    #: The displacement is the probe's along its own axis.
-    tool_path: ToolPathConfig | None = None
+    #: The displacement is the probe's along this axis of its own frame, a unit vector out of its
+    #: tip. The normal is a unit vector into the tissue, perpendicular to its surface; if it is not
+    #: known, the probe is assumed to stand upright.
+    tool_axis: Vector | None = None
+    tool_normal: Vector | None = None
 
 
 class Synchronizer:
@@ -87,20 +90,19 @@ class Synchronizer:
         statics: StaticLinks | None = None,
     ) -> None:
         self._config, self._on_pair, self._rejected = config, on_pair, rejected
-        frames, path = config.frames, config.tool_path
+        frames = config.frames
         self.force_guard = StreamGuard(
             config.force_limit, rejected, "force", is_vector=frames is not None
         )
-        self._path = ToolPath(path) if path is not None else None
+        axis = config.tool_axis
+        self._path = ToolPath(axis, config.tool_normal) if axis is not None else None
         reasons = Reason.UNPAIRED, Reason.DISPLACEMENT_GAP
-        self._displacements = self._join("displacement", *reasons, is_vector=path is not None)
+        self._displacements = self._join("displacement", *reasons, is_vector=axis is not None)
         self.displacement_guard = self._displacements.follow_guard
         #: Whether the transforms give the displacement.
         self._moves_probe = frames is not None and frames.moves_probe
-        #: Samples of the motion that pairs have passed; and those of the newest pair: of its
-        #: stream, the last before it, and the motion there.
-        self._moved: deque[Sample] = deque(maxlen=8 * USUAL_SAMPLES)
-        self._newest: tuple[Sample, Sample] | None = None
+        #: Samples of the motion's stream that pairs have followed, and the motion then.
+        self._moved: deque[tuple[Sample, Sample]] = deque(maxlen=8 * USUAL_SAMPLES + 1)
         self._held: deque[Sample] = deque()  # forces, until all frames are known
         self.frames: Frames | None = None
         if frames is not None:
@@ -122,7 +124,7 @@ class Synchronizer:
         From the distances of the last 256 samples from the lines between their neighbours, or
         from the steps in which they come; 0 while there are fewer than 32.
         """
-        samples = self._moved
+        samples = [moved for _, moved in self._moved][:-1]
         if len(samples) < USUAL_SAMPLES:
             return 0.0
         time = np.array([sample.stamp_ns - samples[0].stamp_ns for sample in samples])
@@ -218,10 +220,6 @@ class Synchronizer:
         return Pair(epoch, stamp_ns, value, way, position, tilt, force.usual_ns)
 
     def _pass(self, before: Sample, moved: Sample) -> None:
-        """Keep one sample of the motion for each of its stream, once a pair comes after it."""
-        last = self._newest
-        if last is not None and last[0][:2] == before[:2]:
-            return
-        if last is not None:
-            self._moved.append(last[1])
-        self._newest = before, moved
+        """Keep one sample of the motion for each of its stream."""
+        if not self._moved or self._moved[-1][0][:2] != before[:2]:
+            self._moved.append((before, moved))

@@ -27,25 +27,15 @@ from fden_ros.core.streams.rotation import (
 )
 
 
-@dataclass(frozen=True)
-class ToolPathConfig:
-    """Axes of the probe's advance."""
-
-    axis: Vector  #: unit vector in the probe's frame, out of its tip
-    #: Unit vector into the tissue, perpendicular to its surface; if it is not known, the probe
-    #: is assumed to stand upright.
-    normal: Vector | None = None
-
-
 class ToolPath:
     """Adds up the travel of the probe along its axis.
 
     Steps are projected on the axis of their time, so that a turn far from the origin
-    adds nothing.
+    adds nothing. `axis` and `normal` are those of `SynchronizeConfig`.
     """
 
-    def __init__(self, config: ToolPathConfig) -> None:
-        self._config = config
+    def __init__(self, axis: Vector, normal: Vector | None) -> None:
+        self._axis, self._normal = axis, normal
         self._last: tuple[Vector, Vector] | None = None
         self._advance = 0.0
 
@@ -55,9 +45,9 @@ class ToolPath:
         The depth, from any origin, is along the axis, and of that the part along the normal if it
         is known. The tilt is the angle between the two, otherwise 0.
         """
-        place, axis = probe.translation, rotate(probe.rotation, self._config.axis)
+        place, axis = probe.translation, rotate(probe.rotation, self._axis)
         last, self._last = self._last, (place, axis)
-        normal = self._config.normal
+        normal = self._normal
         cosine = 1.0 if normal is None else min(max(dot(axis, normal), -1.0), 1.0)
         tilt = math.acos(cosine)
         if last is not None:
