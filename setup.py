@@ -50,6 +50,7 @@ setup(
         "rosbags>=0.11",
         "scipy>=1.11",
         "setuptools",
+        "threadpoolctl>=3.1",
     ],
     extras_require={
         # ROS 2 itself, where no distribution of it is installed. Never a plain requirement: on a

@@ -201,7 +201,7 @@ def fit(
         and `alpha` as (value, sd), and `covariance`, `flags`, `converged`, `predict` and `plot`.
         A number that is not known is NaN. `warnings` is a tuple of sentences, and
         `to_dataframe()` returns a table of pandas. The numbers are those of ``fden replay``, to
-        the last bit with ``OPENBLAS_NUM_THREADS=1``, which is also three times faster.
+        the last bit.
 
     Raises
     ------

@@ -17,7 +17,6 @@ import time
 from collections.abc import Sequence
 from types import ModuleType
 
-import fden_ros.one_thread  # noqa: F401
 from fden_ros import __version__
 from fden_ros.commands.command import Parser
 from fden_ros.commands.options import OPTIONS, add_options

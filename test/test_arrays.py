@@ -8,6 +8,9 @@ from __future__ import annotations
 import functools
 import importlib.util
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +49,22 @@ def test_arrays_give_what_a_replay_gives_to_the_last_bit():
         assert contact.alpha == (estimate.fractional_order, estimate.fractional_order_sd)
         assert contact.stiffness == (stiffness.value, stiffness.sd)
         assert np.array_equal(contact.covariance, estimate.covariance)
+
+
+def test_threads_of_the_linear_algebra_change_no_bit():
+    program = (
+        "import sys, numpy as np, fden_ros\n"
+        "time, force, depth = np.loadtxt(sys.argv[1], delimiter=',', skiprows=1).T\n"
+        f"found = fden_ros.fit(time, force, 1e-3 * depth, geometry={PROBE})\n"
+        "print([(one.G, one.Gn, one.alpha, one.stiffness) for one in found.contacts])\n"
+    )
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")
+    done = subprocess.run(
+        [sys.executable, "-c", program, EXAMPLES / "press.csv"],
+        capture_output=True, text=True, check=True, env={**os.environ, **threads},
+    )  # fmt: skip
+    one = [(one.G, one.Gn, one.alpha, one.stiffness) for one in fitted().contacts]
+    assert done.stdout == f"{one}\n"
 
 
 def test_a_prediction_is_the_law_of_the_contact():

@@ -45,6 +45,7 @@ ROSDEP_KEYS = {
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "threadpoolctl": "python3-sklearn",
 }
 IMPORT_NAMES = {"pyyaml": "yaml", "universal-pathlib": "upath"}
 

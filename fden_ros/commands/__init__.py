@@ -9,3 +9,7 @@ Its arguments are a row of :data:`fden_ros.commands.options.OPTIONS`; ``run`` ta
 returns the exit code. It calls ``args.parser.error`` where arguments do not go together, and
 raises :class:`~fden_ros.errors.InputError` where what they name cannot be used.
 """
+
+from fden_ros.one_thread import start_no_threads
+
+start_no_threads()

@@ -3,4 +3,6 @@
 
 """ROS shells: nodes over the pure core."""
 
-import fden_ros.one_thread  # noqa: F401
+from fden_ros.one_thread import start_no_threads
+
+start_no_threads()

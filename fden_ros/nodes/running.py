@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from fden_ros.errors import InputError
 from fden_ros.nodes.programs import ignore_signals, note_signals
+from fden_ros.one_thread import one_thread
 from fden_ros.parameters import (
     Section,
     check_types,
@@ -79,7 +80,8 @@ def run_node(
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         node = _made(make, list(sys.argv if arguments is None else arguments), needs_section)
-        return _run(node, start, finish, lambda: bool(noted))
+        with one_thread():
+            return _run(node, start, finish, lambda: bool(noted))
     except _RefusedError as refused:
         # rcl writes several lines, and adds the places in its sources.
         text = " ".join(str(refused).split()).removeprefix("failed to initialize rcl: ")

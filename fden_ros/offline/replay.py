@@ -20,6 +20,7 @@ from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import Pair
 from fden_ros.offline import thickness
 from fden_ros.offline.known import known_alone, known_stiffness
+from fden_ros.one_thread import one_thread
 from fden_ros.parameters import Parameters, pipeline_config
 from fden_ros.progress import progress as bar
 from fden_ros.recording.bag_files import RawMessage
@@ -133,13 +134,14 @@ def replay_source(
             summaries.append(output)
         on_output(output, source.frame)
 
-    pipeline = _Watched(pipeline_config(source.parameters), keep)
-    pipeline.show = on_pair
-    with bar("replaying", source.total, visible=progress) as show:
-        for done in source.feed(pipeline, lambda at, one: on_input(at, one, pipeline)):
-            if done % _PROGRESS_STEP == 0:
-                show(done)
-    pipeline.finish()
+    with one_thread():
+        pipeline = _Watched(pipeline_config(source.parameters), keep)
+        pipeline.show = on_pair
+        with bar("replaying", source.total, visible=progress) as show:
+            for done in source.feed(pipeline, lambda at, one: on_input(at, one, pipeline)):
+                if done % _PROGRESS_STEP == 0:
+                    show(done)
+        pipeline.finish()
     for failure in pipeline.failures:
         _LOGGER.error("%s\n%s", failure, failure.traceback)
     return Replay(
