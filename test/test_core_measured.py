@@ -52,7 +52,7 @@ def seconds(count: int) -> np.ndarray:
 
 def after(times: np.ndarray, forces: np.ndarray, places: np.ndarray, **own: Any) -> MeasuredSlopes:
     """Return what has been measured after the samples of one contact."""
-    surface, air = own.pop("surface", 0.0), (own.pop("bias", 0.0), own.pop("noise", 0.0), 0.0)
+    surface, air = own.pop("surface", 0.0), (own.pop("bias", 0.0), own.pop("noise", 0.0), 0.0, 0.0)
     measured = MeasuredSlopes(pipeline_config(check({k.replace("__", "."): own[k] for k in own})))
     for time, force, place in zip(*(c.tolist() for c in (times, forces, places)), strict=True):
         measured.add(Pair(0, START_NS + round(time * NANOSECONDS), force, place, None))

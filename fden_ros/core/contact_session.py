@@ -70,8 +70,9 @@ class ContactSession:
         self._contact: Contact | None = None  # the newest
         #: Surface of the tissue at the newest contact [m], not a number where none was seen.
         self.surface = math.nan
-        #: Of the force at its touch: bias and noise [N], and the time of a filter [s].
-        self.air = 0.0, 0.0, 0.0
+        #: Of the force at its touch: bias and noise [N], the time of a filter [s], and the mass
+        #: beyond the sensor [kg].
+        self.air = 0.0, 0.0, 0.0, 0.0
         self._strokes.forget()
         self._common.labeller.forget()
         self._common.sums.forget()
@@ -185,7 +186,7 @@ class ContactSession:
         late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
         onset = onset._replace(filter_time=max(late, 0.0))
         self._tilt.see(newest.tilt)
-        self.air = onset.bias, onset.noise_sd, onset.filter_time
+        self.air = onset.bias, onset.noise_sd, onset.filter_time, onset.mass
         site = self._sites.of(onset, self._detector.left_unseen_ns)
         site.check_history(onset)
         found = onset.displacement if onset.seen else math.nan

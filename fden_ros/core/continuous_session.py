@@ -115,7 +115,7 @@ class ContinuousSession:
     in_contact = never_lifts = False
     air_events = (0, 0, False)
     surface = math.nan
-    air = 0.0, 0.0, 0.0
+    air = 0.0, 0.0, 0.0, 0.0
 
     def __init__(self, config: PipelineConfig, rejected: Counter[str]) -> None:
         self._config, self._rejected = config, rejected

@@ -156,10 +156,10 @@ class _Window(NamedTuple):
 def _window(columns: Array, place: float, noise: tuple[float, float], bias: float) -> _Window:
     """Return the slope at an end of a window, 1 or -1, or in its middle, 0.
 
-    `noise` is the least of a sample, and that which means over a longer time show [N]; `bias`
-    that of the narrower windows.
+    `columns` has the force of inertia as its last row. `noise` is the least of a sample, and that
+    which means over a longer time show [N]; `bias` that of the narrower windows.
     """
-    weights, _, _, ways, squares, cubes, forces, variances = columns
+    weights, _, _, ways, squares, cubes, forces, variances, inertia = columns
     width = float(weights.sum())
     half, middle = 0.5 * width, float(weights @ ways) / width
     # Means over the pieces of the powers of the distance from the middle, in halves.
@@ -177,9 +177,11 @@ def _window(columns: Array, place: float, noise: tuple[float, float], bias: floa
     bend = line - gradient @ cubic
     own, unsure = (student**2 * slow * float(one**2 @ variances) for one in (line, bend))
     change, slope = abs(float(bend @ forces)), float(line @ forces)
+    inertial = float(line @ inertia)
     if change**2 > _CLEAR_BIAS**2 * unsure:
         bias = max(bias, change)
-    sd = math.sqrt(own + unsure + max(bias, change) ** 2)
+    sd = math.sqrt(own + unsure + max(bias, change) ** 2 + inertial**2)
+    slope -= inertial
     is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
     return _Window(slope, sd, middle + place * half, width, curve, bias, is_known)
 
@@ -230,11 +232,11 @@ def _is_saturated(columns: Array, change: float) -> bool:
 
 
 def _best(
-    columns: Array, side: float, least_change: float, noise: tuple[float, float]
+    columns: Array, places: tuple[float, ...], least_change: float, noise: tuple[float, float]
 ) -> _Window | None:
-    """Return the slope at the end from which the columns begin; None: it is not known."""
+    """Return the slope at the first place of a window where it is known; None: at none."""
     widths, last = np.cumsum(columns[0]), columns.shape[1]
-    for place in (side, 0.0):
+    for place in places:
         found, count, bias = [], _PIECES, 0.0
         while count <= last:
             change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
@@ -266,6 +268,7 @@ class MeasuredSlopes:
         self._unseen, self._surface, self._was_in_contact = NOT_MEASURED, math.nan, False
         self._slow_noise = 0.0  # of the force per sample, as means over a longer time show it [N]
         self._delay_sd = self._stated_delay_sd  # [s]
+        self._mass = 0.0  # beyond the sensor, of roughly known size [kg]
         #: Of three contacts, as the summary of one may come in the next: slopes and surface [m].
         self._found: dict[int, tuple[Slopes, float]] = {}
         self.forget()
@@ -321,14 +324,22 @@ class MeasuredSlopes:
             self._measure(run)
 
     def assign(
-        self, contact_id: int, air: tuple[float, float, float], surface: float, *, in_contact: bool
+        self,
+        contact_id: int,
+        air: tuple[float, float, float, float],
+        surface: float,
+        *,
+        in_contact: bool,
     ) -> None:
         """Assign the results after a sample to the contact of that sample.
 
-        `air` is bias and noise of the force [N], and the time of a filter [s]; `surface` that of
-        the contact [m], NaN where it was not seen.
+        `air` is bias and noise of the force [N], the time of a filter [s], and the mass beyond the
+        sensor [kg]; `surface` that of the contact [m], NaN where it was not seen.
         """
-        bias, self._slow_noise, late = air
+        bias, self._slow_noise, late, mass = air
+        if mass > self._mass:
+            self._newest = NOT_MEASURED  # inertia was not allowed for
+        self._mass = mass
         self._delay_sd = math.hypot(self._stated_delay_sd, late)
         self._surface = surface - self._contact.series_compliance * bias
         if in_contact or self._is_continuous:
@@ -366,8 +377,13 @@ class MeasuredSlopes:
         # The relaxation left by a creeping probe in one direction is no loading.
         left = _QUARTER * self._change if run.sign == self._sign else 0.0
         least = max(SMALL * change, left)
+        speeds = columns[0] / np.maximum(columns[1], 1.0 / NANOSECONDS)
+        columns = np.vstack([columns, self._mass * np.gradient(speeds, columns[2])])
         noise = self._noise, self._slow_noise
-        found = _best(columns, run.sign, least, noise) if change >= least else None
+        # Without a surface there is no depth, which tells that a slope is not that of the end.
+        is_end_alone = math.isnan(self._surface) and not self._is_continuous
+        places = (run.sign,) if is_end_alone else (run.sign, 0.0)
+        found = _best(columns, places, least, noise) if change >= least else None
         if found is None:
             return change
         run.due_width = run.width + found.width / _PIECES

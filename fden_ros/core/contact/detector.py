@@ -77,6 +77,7 @@ class Onset(NamedTuple):
     air_seen: bool  #: the data began in the air, even if they do not show the surface
     clear_force: float  #: the mean of a chunk above it is in contact [N]
     filter_time: float  #: of a filter that the noise in the air shows [s]; 0: none
+    mass: float  #: beyond the sensor, whose inertia is in the force [kg]; 0: not noticeable
 
     @property
     def release_force(self) -> float:
@@ -304,6 +305,8 @@ class ContactDetector:
         if inertia > SLIGHT * float(approach.force[approach.first :].max()):
             # Inertia hides the touch: the surface was found up to 5 mm too deep.
             came, self.inertial, self.mass = False, self.inertial + 1, mass
+        else:
+            mass = 0.0
         seen = approach.first > 0 and air_seen and came
         if not (seen or self._has_released):
             # There was no air yet in which the force could drift: the rise was this contact.
@@ -331,6 +334,7 @@ class ContactDetector:
             air_seen=air_seen,
             clear_force=max(clear, excess.threshold),
             filter_time=smooth,
+            mass=mass,
         )
         self._press = _Press(onset, excess)
         pairs.clear()

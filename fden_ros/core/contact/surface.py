@@ -68,7 +68,7 @@ class Approach(NamedTuple):
         return way > _clear_way(before, self.surface_sd)
 
     def has_advanced(self) -> bool:
-        """Whether the probe has moved in since the release: otherwise it touches nothing."""
+        """Whether the probe has moved in: otherwise it touches nothing after a release."""
         way = self.displacement
         return float(np.max(way - np.minimum.accumulate(way))) > _clear_way(way)
 
@@ -77,9 +77,14 @@ class Approach(NamedTuple):
 
         The noise of the force is in the displacement without `compliance` [m/N], but not in the
         measured one. A second difference over n samples is the mean of the acceleration under a
-        triangle.
+        triangle. Where the force of inertia was taken for the touch, the air may be the first
+        half of the way in.
         """
-        way, force = self.displacement[: self.first], self.force[: self.first]
+        end = self.first
+        if not self.came_through_air():
+            way_in = self.displacement[end:] - self.displacement[end]
+            end += int(np.argmax(way_in >= 0.5 * way_in.max()))
+        way, force = self.displacement[:end], self.force[:end]
         way = way + compliance * force
         step = float(self.time[-1]) / max(self.time.size - 1, 1)
         n = max(round(_AVERAGED / step), 1)
@@ -122,17 +127,20 @@ class Approach(NamedTuple):
         It has lasted, or the probe has moved as fast before and the force's swing is known.
         """
         time, first = self.time, self.first
-        depth = self.displacement - self.surface
+        depth = self.displacement - self.displacement[first]
+        rests = not self.has_advanced()
         # Where the probe rested, the surface may lie anywhere in that time.
-        shallow = np.flatnonzero(depth[first:] < SMALL * depth[-1])
+        rise = self.force if rests else depth
+        shallow = np.flatnonzero(rise[first:] < SMALL * rise[-1])
         first += int(shallow[-1]) if shallow.size else 0
         lasting = float(time[-1] - time[first])
-        if lasting > _LASTING or not is_clear:
+        if lasting > _LASTING or rests or not is_clear:
             return lasting > _LASTING
         instants = np.arange(time[first], time[0], -_MOTION_STEP)
         moved = np.abs(np.diff(np.interp(instants, time, self.displacement)))
         speed = abs(float(depth[-1] - depth[first])) / max(lasting, _MOTION_STEP)
-        moving = np.count_nonzero(moved >= _MOTION_SHARE * speed * _MOTION_STEP)
+        least = max(_MOTION_SHARE * speed * _MOTION_STEP, _clear_way(self.displacement))
+        moving = np.count_nonzero(moved >= least)
         return bool(moving * _MOTION_STEP > _LASTING)
 
 
