@@ -25,15 +25,6 @@ PARAMETERS = ROOT / "config" / "tissue_simulator.yaml"
 #: takes so long.
 LIMIT = 180.0
 
-#: What stops the identifier that tests share: another one would have its name.
-SHARED: list[Callable[[], None]] = []
-
-
-def stop_shared() -> None:
-    """Make way for an identifier of one test's own."""
-    while SHARED:
-        SHARED.pop()()
-
 
 def wait_for(
     condition: Callable[[], Any],
@@ -115,8 +106,6 @@ def node_process(
 @contextlib.contextmanager
 def process_of(command: list[str]) -> Iterator[subprocess.Popen[str]]:
     """Run a program; continue, stop and reap it whatever was done to it."""
-    if "identifier" in " ".join(command):
-        stop_shared()
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

@@ -1,15 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""A real identifier over real DDS, one a test worker, and the node that tests it."""
+"""A real identifier over real DDS, and the node that tests it."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import signal
-import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,13 +18,13 @@ from fden_msgs.msg import ComplexModulus, PalpationSummary, TissueClassification
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from live_helpers import LIMIT, SHARED, Ears, command_of, process_of, wait_for
+from live_helpers import LIMIT, Ears, command_of, process_of
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from benchmark.node import end_with_parent
 from fden_ros.core.outputs import (
     Classification,
     ContactSummary,
@@ -37,7 +34,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.nodes import player
 from fden_ros.offline.replay import Replay, replay
-from fden_ros.parameters import NODE_PARAMETERS, PARAMETERS, read_parameter_file
+from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.message_types import serialize
 from fden_ros.recording.reader import BagReader
 from fden_ros.ros.messages import to_stamp
@@ -59,8 +56,10 @@ LOSSLESS: dict[str, Any] = {
 }
 
 
-class Remote(Ears):
-    """A node that calls the services of an identifier."""
+class Bench(Ears):
+    """The test's own node: hears the identifier, publishes its inputs, calls its services."""
+
+    node_name = "bench"
 
     def __init__(self, name: str = NAME) -> None:
         self.name = name
@@ -87,6 +86,14 @@ class Remote(Ears):
         request = ChangeState.Request(transition=Transition(id=transition))
         return bool(self.call(ChangeState, "change_state", request).success)
 
+    def set_parameters(self, values: Mapping[str, Any]) -> list[SetParametersResult]:
+        """Set parameters of the identifier, and return what it says of each."""
+        messages = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        request = SetParameters.Request(parameters=messages)
+        return list(self.call(SetParameters, "set_parameters", request).results)
+
     def state(self) -> str:
         """Return the lifecycle state's label."""
         client = self._client(GetState, "get_state")
@@ -106,12 +113,6 @@ class Remote(Ears):
             return str(answer.current_state.label)
         finally:
             self.node.destroy_client(client)
-
-
-class Bench(Remote):
-    """The test's own node: hears the identifier, publishes its inputs, calls its services."""
-
-    node_name = "bench"
 
     def __enter__(self) -> Bench:
         super().__enter__()
@@ -287,114 +288,18 @@ def _as_many(messages: list[Any], count: int) -> list[Any] | None:
 PUNCH = {"geometry.area": 1e-4, "geometry.thickness": 0.02}
 
 
-#: Of what may change between two tests.
-DEFAULTS = {
-    p.name: p.default for p in (*PARAMETERS, *NODE_PARAMETERS) if p.name != "autostart"
-} | {"use_sim_time": False}
-
-
-class Shared:
-    """One identifier for all tests of this process: its lifecycle makes it new for each.
-
-    Attributes
-    ----------
-    output : str
-        What it has written while the last test used it.
-    """
-
-    _only: Shared | None = None
-
-    def __init__(self) -> None:
-        self.output = ""
-        self._lines: list[str] = []
-        self._values: dict[str, Any] = {}
-        self._process = subprocess.Popen(
-            command_of("identifier", LOSSLESS),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            preexec_fn=end_with_parent,
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        SHARED.append(self.stop)
-
-    @classmethod
-    def get(cls) -> Shared:
-        """Return the one that runs, or a new one."""
-        if cls._only is None or cls._only.poll() is not None:
-            cls._only = cls()
-        return cls._only
-
-    def stop(self) -> None:
-        """End it."""
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(LIMIT)
-
-    def poll(self) -> int | None:
-        """Return the exit code, None while it runs."""
-        return self._process.poll()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        self._lines.extend(self._process.stdout)
-
-    def begin(self, values: Mapping[str, Any]) -> None:
-        """Configure and activate it with these values and defaults for all others."""
-        self._lines.clear()
-        wanted = {**DEFAULTS, **values}
-        changed = {n: v for n, v in wanted.items() if self._values.get(n, DEFAULTS[n]) != v}
-        with Remote() as remote:
-            _clean_up(remote)
-            if changed:
-                messages = [Parameter(n, value=v).to_parameter_msg() for n, v in changed.items()]
-                request = SetParameters.Request(parameters=messages)
-                for result in remote.call(SetParameters, "set_parameters", request).results:
-                    assert result.successful, result.reason
-            self._values = wanted
-            assert remote.change_state(Transition.TRANSITION_CONFIGURE)
-            assert remote.change_state(Transition.TRANSITION_ACTIVATE)
-
-    def end(self) -> None:
-        """Deactivate it and clean up."""
-        before = self._deactivations()
-        with Remote() as remote:
-            if _clean_up(remote):
-                # Lines come through a pipe.
-                wait_for(lambda: self._deactivations() > before, "the last line of the log")
-        self.output = "".join(self._lines)
-        print(self.output)
-
-    def _deactivations(self) -> int:
-        return sum("deactivated: silent" in line for line in list(self._lines))
-
-
-def _clean_up(remote: Remote) -> bool:
-    """Bring it to where it begins; return whether it was active."""
-    was_active = remote.state() == "active"
-    if was_active:
-        assert remote.change_state(Transition.TRANSITION_DEACTIVATE)
-    if remote.state() == "inactive":
-        assert remote.change_state(Transition.TRANSITION_CLEANUP)
-    return was_active
-
-
 @contextlib.contextmanager
 def active(
     parameters: Mapping[str, Any] | None = None, *, file: Path | None = None
-) -> Iterator[Shared]:
-    """Have the shared identifier active with parameters, over those of a file, without losses."""
-    values = dict(read_parameter_file(file).as_dict()) if file is not None else dict(PUNCH)
-    shared = Shared.get()
-    # Its first word comes early: who waits until it is heard does not wait long.
-    # What a busy machine delays is not what is tested, but where that is said.
-    shared.begin({"source_timeout": 0.1, "lag_deadline": 60.0, **values, **(parameters or {})})
-    try:
-        yield shared
-    finally:
-        if shared.poll() is None:
-            shared.end()
-    assert shared.poll() is None, shared.output
+) -> Iterator[Any]:
+    """Run an identifier that is active at once and loses no sample, over the values of a file.
+
+    Its first word comes early: who waits until it is heard does not wait long. What a busy machine
+    delays is not what is tested, but where that is said.
+    """
+    own = {"autostart": True, "source_timeout": 0.1, "lag_deadline": 60.0, **LOSSLESS}
+    with identifier({**own, **(parameters or {})}, file=file) as process:
+        yield process
 
 
 @contextlib.contextmanager
@@ -405,10 +310,7 @@ def identifier(
     remap: Mapping[str, str] | None = None,
     first: str = "",
 ) -> Iterator[Any]:
-    """Run an identifier in a process of its own, `first` before it; stop it at the end.
-
-    For what the shared one cannot do: its start, its end, other names, broken code.
-    """
+    """Run an identifier in a process of its own, `first` before it; stop it at the end."""
     given = {**(PUNCH if file is None else {}), **(parameters or {})}
     command = command_of("identifier", given, file=file, remap=remap)
     if first:

@@ -18,8 +18,6 @@ from fden_msgs.msg import TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from live_helpers import LIMIT
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import LOSSLESS, STEP_NS, Bench, Live, active, identifier
 from sensor_msgs.msg import JointState
@@ -224,18 +222,16 @@ def test_a_pause_of_the_topics_is_stale_and_then_over(live):
 
 @row("parameters_while_active")
 def test_parameters_of_wrong_type_or_range_or_while_active_are_refused(live):
-    double, text = ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_STRING
     values = {
-        "geometry.area": ParameterValue(type=double, double_value=2e-4),
-        "geometry.thickness": ParameterValue(type=double, double_value=-1.0),
-        "force.limit": ParameterValue(type=text, string_value="much"),
-        "prior.alpha": ParameterValue(type=double, double_value=math.nan),
-        "source_timeout": ParameterValue(type=double, double_value=1e9),
-        "no.such": ParameterValue(type=double, double_value=1.0),
+        "geometry.area": 2e-4,
+        "geometry.thickness": -1.0,
+        "force.limit": "much",
+        "prior.alpha": math.nan,
+        "source_timeout": 1e9,
+        "no.such": 1.0,
     }
     for name, value in values.items():
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-        result = live.bench.call(SetParameters, "set_parameters", request).results[0]
+        (result,) = live.bench.set_parameters({name: value})
         assert not result.successful and result.reason, name
     live.recovers()
 

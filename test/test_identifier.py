@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters
 from ros_helpers import Bench, Live, active, assert_live_equals_replay, stamp
 from std_srvs.srv import Trigger
 
@@ -83,11 +82,6 @@ def floats(data: bytes) -> np.ndarray:
     return np.frombuffer(data[-24:], dtype="<f8")
 
 
-def set_parameter(bench: Bench, name: str, value: ParameterValue) -> Any:
-    request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
-    return bench.call(SetParameters, "set_parameters", request).results[0]
-
-
 def test_parameters_are_described_ranged_and_changed_once_it_is_cleaned_up():
     with Bench() as bench, active():
         bench.wait_until_heard()
@@ -99,10 +93,10 @@ def test_parameters_are_described_ranged_and_changed_once_it_is_cleaned_up():
         assert next(d for d in descriptors if d.name == "autostart").read_only
         area = next(d for d in descriptors if d.name == "geometry.area")
         assert area.floating_point_range[0].to_value == 1.0
-        double = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2e-4)
         assert bench.change_state(Transition.TRANSITION_DEACTIVATE)
         assert bench.change_state(Transition.TRANSITION_CLEANUP)
-        assert set_parameter(bench, "geometry.area", double).successful
+        (result,) = bench.set_parameters({"geometry.area": 2e-4})
+        assert result.successful
 
 
 def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere():

@@ -8,41 +8,23 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
-from live_helpers import LIMIT, Ears
+from live_helpers import LIMIT, Ears, process_of
 
 pytest.importorskip("launch_ros", reason="ros2 launch is not to be had as a wheel")
 pytest.importorskip("ros2launch", reason="ros2 launch is not to be had as a wheel")
 CLEANLY = "process has finished cleanly"
 
 
-@contextmanager
-def launched(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+def launched(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
     """Run the launch file of the identifier; Ctrl-C it at the end, and keep its output."""
     program = shutil.which("ros2")
     assert program is not None
-    process = subprocess.Popen(
-        [program, "launch", "fden_ros", "identifier.launch.py", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-        try:
-            output, _ = process.communicate(timeout=LIMIT)
-        finally:
-            process.kill()
-        process.output = output  # type: ignore[attr-defined]
-        print(output)
+    return process_of([program, "launch", "fden_ros", "identifier.launch.py", *arguments])
 
 
 def process_ids(namespace: str) -> list[int]:

@@ -16,8 +16,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from ros_helpers import STEP_NS, Bench, active, identifier, stamp
 
 from simulation.simulate import START_NS
@@ -139,10 +137,8 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
     with Bench("/arm/identifier") as bench, identifier(remap={"__ns": "/arm"}) as node:
 
         def set_library(path: str) -> bool:
-            value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=path)
-            parameter = Parameter(name="classifier.library", value=value)
-            request = SetParameters.Request(parameters=[parameter])
-            return bool(bench.call(SetParameters, "set_parameters", request).results[0].successful)
+            (result,) = bench.set_parameters({"classifier.library": path})
+            return bool(result.successful)
 
         assert bench.state() == "unconfigured"
         assert set_library("/nowhere/tissues.yaml")

@@ -299,7 +299,6 @@ def test_the_policy_names_what_the_running_node_has_and_nothing_else():
         allowed("service", "reply"),
         allowed("service", "request"),
     ]
-    # The identifier first: it ends the shared one, whose names a node from before may keep.
     with identifier(parameters):
         for _ in range(3):
             # Discovery at times passes a participant by; the next one hears of everything anew.
