@@ -9,6 +9,7 @@ import gzip
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -260,13 +261,6 @@ TABLES: dict[str, Table] = {
 
 START = 1_700_000_000_000_000_000
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
-SCHEMA = """
-CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
-    serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
-CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
-    timestamp INTEGER NOT NULL, data BLOB NOT NULL);
-CREATE INDEX timestamp_idx ON messages (timestamp ASC);
-"""
 
 Messages = list[RawMessage]
 Make = Callable[[Path, Messages], Path]
@@ -327,9 +321,11 @@ def ros1(
 
 
 def alone(folder: Path) -> Path:
-    """Return the one file of a bag, elsewhere."""
+    """Return the one file of a bag, in the place of its folder."""
     (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
-    return Path(shutil.move(file, folder.parent / file.name))
+    moved = Path(shutil.move(file, folder.parent / file.name))
+    shutil.rmtree(folder)
+    return moved
 
 
 def broken_metadata(folder: Path) -> Path:
@@ -337,35 +333,26 @@ def broken_metadata(folder: Path) -> Path:
     return folder
 
 
-def foxy(path: Path, messages: Messages, left_in_log: int = 0) -> Path:
-    """Write a sqlite3 file without definitions; the last messages stay in its log."""
-    database = sqlite3.connect(path)
-    database.execute("PRAGMA journal_mode = WAL")
-    database.execute("PRAGMA wal_autocheckpoint = 0")
-    database.executescript(SCHEMA)
-    names = {message.topic: message.type_name for message in messages}
-    numbers = {topic: number for number, topic in enumerate(names, start=1)}
-    for topic, kind in names.items():
-        row = (numbers[topic], topic, kind, "cdr", "")
-        database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
-    split = len(messages) - left_in_log
-    for start, end in ((0, split), (split, len(messages))):
-        rows = [(numbers[m.topic], m.log_time_ns, m.data) for m in messages[start:end]]
-        database.executemany(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows
-        )
+def of_foxy(path: Path) -> Path:
+    """Return a sqlite3 file with what Foxy wrote alone: no definitions, no hashes."""
+    with closing(sqlite3.connect(path)) as database:
+        for table in ("schema", "metadata", "message_definitions"):
+            database.execute(f"DROP TABLE {table}")
+        database.execute("ALTER TABLE topics DROP COLUMN type_description_hash")
+    return path
+
+
+def interrupted(path: Path) -> Path:
+    """Return a sqlite3 file as it lies after a power cut: the newest is in its log."""
+    folder = path.parent / "cut"
+    folder.mkdir()
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("UPDATE messages SET timestamp = timestamp + 1")
         database.commit()
-        if start == 0:
-            database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-    if left_in_log:
-        # As the files lie after a power cut: the writer never closes these.
-        folder = path.parent / "cut"
-        folder.mkdir()
         for suffix in ("", "-wal"):
             shutil.copy(f"{path}{suffix}", folder)
-        path = folder / path.name
-    database.close()
-    return path
+    return folder / path.name
 
 
 def converted(path: Path, messages: Messages) -> Path:
@@ -439,10 +426,10 @@ BAGS: dict[str, Bag] = {
     "sqlite3": Bag(lambda at, m: ros2(at / "bag", m)),
     "sqlite3 file": Bag(lambda at, m: alone(ros2(at / "bag", m))),
     "sqlite3 split": Bag(
-        lambda at, m: halves(at / "bag", m, lambda p, part: foxy(p.with_suffix(".db3"), part)),
+        lambda at, m: halves(at / "bag", m, lambda p, part: alone(ros2(p, part))),
         NO_METADATA,
     ),
-    "sqlite3 of Foxy": Bag(lambda at, m: foxy(at / "old.db3", m)),
+    "sqlite3 of Foxy": Bag(lambda at, m: of_foxy(alone(ros2(at / "bag", m)))),
     "sqlite3 by file": Bag(lambda at, m: ros2(at / "bag", m, BY_FILE)),
     "MCAP": Bag(lambda at, m: ros2(at / "bag", m, plugin=MCAP)),
     "MCAP with broken metadata": Bag(
@@ -458,13 +445,13 @@ BAGS: dict[str, Bag] = {
     ),
     # What cannot be used
     "sqlite3 interrupted": Bag(
-        lambda at, m: foxy(at / "old.db3", m, left_in_log=100), refused="old.db3-wal was left"
+        lambda at, m: interrupted(alone(ros2(at / "bag", m))), refused=".db3-wal was left"
     ),
     "sqlite3 cut off": Bag(
         lambda at, m: cut(alone(ros2(at / "bag", m)), 0.1), refused="is damaged"
     ),
     "sqlite3 of a few bytes": Bag(
-        lambda at, m: cut(foxy(at / "a.db3", m), 1e-4), refused="cut off before"
+        lambda at, m: cut(alone(ros2(at / "a", m)), 1e-4), refused="cut off before"
     ),
     "ROS 1 cut off": Bag(lambda at, m: cut(ros1(at / "a.bag", m), 0.5), refused="is damaged"),
     "ROS 1 not closed": Bag(

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings at URLs: a server of S3, one of the web and one of sftp, on the loopback."""
+"""Recordings at URLs: a server of S3 and one of the web, on the loopback."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -39,35 +39,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("shown")
     shutil.copytree(POSE, folder / "press")
     (folder / "old").mkdir()
-    bag_of("sqlite3", folder / "old", small())
-    shutil.move(next((folder / "old").rglob("*.db3")), folder / "old" / "old.db3")
-    shutil.rmtree(folder / "old" / "bag")
+    bag_of("sqlite3 file", folder / "old", small()).rename(folder / "old" / "old.db3")
     table = (ROOT / "examples" / "press.csv").read_bytes()
     (folder / "table.csv").write_bytes(table)
     (folder / "packed.csv.gz").write_bytes(gzip.compress(table))
     return folder
 
 
-class Counted:
-    """The app of a server; counts the bytes of the answers."""
-
-    def __init__(self, app: Callable[..., Any]) -> None:
-        self._app, self.sent = app, 0
-
-    def __call__(self, environ: dict[str, Any], respond: Callable[..., Any]) -> Iterator[bytes]:
-        for part in self._app(environ, respond):
-            self.sent += len(part)
-            yield part
-
-
 @pytest.fixture(scope="module")
-def s3(folder: Path) -> Iterator[tuple[str, Counted]]:
+def s3(folder: Path) -> Iterator[None]:
     pytest.importorskip("moto", reason="the servers of the tests are not installed")
     import boto3
     from moto.server import DomainDispatcherApplication, create_backend_app
     from werkzeug.serving import make_server
 
-    app = Counted(DomainDispatcherApplication(create_backend_app))
+    app = DomainDispatcherApplication(create_backend_app)
     server = make_server("127.0.0.1", 0, app, threaded=True)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     url = f"http://127.0.0.1:{server.port}"
@@ -84,7 +70,7 @@ def s3(folder: Path) -> Iterator[tuple[str, Counted]]:
         for path in folder.rglob("*.*"):
             key = f"day/{path.relative_to(folder)}"
             client.upload_file(str(path), "lab", key, ExtraArgs={"ACL": "public-read"})
-        yield url, app
+        yield
     server.shutdown()
 
 
