@@ -10,66 +10,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import yaml
 from command_helpers import answer, fden
 from rosbags.highlevel import AnyReader
-from unknown_rig_bags import RigBag
 
-from fden_ros.configure.streams import Streams
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
 from simulation.bag import PARAMETER_FILE
-from simulation.scenario import load_scenario
-from simulation.simulate import START_NS, Recording, simulate
 
 ROOT = Path(__file__).parent.parent
 GOLDEN = ROOT / "bags" / "golden"
 PRESS = GOLDEN / "golden_press"
 POSE = GOLDEN / "golden_pose"
-
-
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    """One press of a scenario that comes along, the probe pressing downwards."""
-    scenario = load_scenario("pose_100hz")
-    return simulate(replace(scenario, sites=scenario.sites[:1]))
-
-
-@pytest.fixture(scope="module")
-def config(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("config") / "probe.yaml"
-    path.write_text(
-        yaml.safe_dump({"/**": {"ros__parameters": recording.truth["identifier_parameters"]}})
-    )
-    return path
-
-
-def foreign(recording: Recording, kind: str = "pose") -> RigBag:
-    """Return the recording as another maker writes it."""
-    force, moved = recording.force, recording.displacement
-    assert moved.position is not None
-    return RigBag(
-        Streams(
-            "foreign",
-            1.0 + 1e-9 * (force.stamp_ns - START_NS),
-            np.outer(force.value, force.sensor.axis),
-            1.0 + 1e-9 * (moved.stamp_ns - START_NS),
-            moved.position,
-        ),
-        force.sensor.topic,
-        moved.sensor.topic,
-        kind,
-    )
-
-
-@pytest.fixture(scope="module")
-def foreign_bag(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return foreign(recording).write(tmp_path_factory.mktemp("foreign") / "bag")
 
 
 def replayed(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
@@ -84,22 +39,6 @@ def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | 
     lines = captured.err.splitlines()
     assert len(lines) == 1, captured.err
     return lines[0]
-
-
-def check_truth(result: dict[str, Any], recording: Recording, tolerance: float = 0.02) -> None:
-    (contact,) = result["contacts"]
-    (site,) = recording.truth["sites"]
-    assert contact["converged"] and contact["complete"]
-    assert contact["g"] == pytest.approx(site["linear_stiffness"], rel=tolerance)
-    assert contact["g_n"] == pytest.approx(site["nonlinear_stiffness"], rel=tolerance)
-
-
-def test_a_bag_of_rosbags_with_slow_poses_and_negative_force_gives_the_truth(
-    capsys: pytest.CaptureFixture[str], foreign_bag: Path, config: Path, recording: Recording
-) -> None:
-    result = replayed(capsys, foreign_bag, "--config", config)
-    check_truth(result, recording)
-    assert result["inputs"] == {"force": "/tool/wrench", "displacement": "/arm/measured_cp"}
 
 
 def test_damaged_messages_are_counted_and_the_others_used(
