@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core_helpers import stress_over_g
-from pipeline_helpers import of_columns, summaries_of
+from pipeline_helpers import of_columns, stress_over_g, summaries_of
 from property_helpers import counts, first
 from scipy.signal import lfilter
 

@@ -11,8 +11,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from core_helpers import off, states_of
-from pipeline_helpers import identified, items_of, of_columns, parameters_of, summaries_of
+from pipeline_helpers import (
+    identified,
+    items_of,
+    of_columns,
+    off,
+    parameters_of,
+    states_of,
+    summaries_of,
+)
 from property_helpers import first
 
 from benchmark.real import Test as Measured

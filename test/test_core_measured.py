@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_helpers import states_of, stress_over_g
-from pipeline_helpers import of_columns, summaries_of
+from pipeline_helpers import of_columns, states_of, stress_over_g, summaries_of
 from property_helpers import counts
 from scipy.signal import lfilter
 

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from core_helpers import off
 from filterpy.kalman import KalmanFilter
-from pipeline_helpers import of_columns, summaries_of
+from pipeline_helpers import of_columns, off, summaries_of
 from property_helpers import counts, first
 
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Setting, Touch
@@ -101,18 +100,19 @@ def test_the_response_of_a_node_is_the_stress_of_the_law_at_any_steps():
     rng, order, gn, origin = np.random.default_rng(1), 0.2, 9.0, 0.01
     node = np.array([order, math.log(gn), origin])
     grid = _Grid(node, np.zeros((3, 3)), PassThrough(), (1.0, 1.0))
-    times = np.cumsum(rng.uniform(5e-4, 3e-3, 1200))
-    strains = 0.25 * np.interp(times, [0.0, 1.0, 3.0], [0.0, 1.0, 1.0])
-    moves = moves_of_knots(np.array([0.04, 1.0, 3.0]), np.array([0.0, 0.24, 0.24]))
+    times = np.cumsum(10.0 ** rng.uniform(-4.0, -2.0, 1200))
+    touch, top = times[[20, 450]].tolist()
+    strains = np.interp(times, [0.0, touch, top], [0.0, origin, 0.25])
+    moves = moves_of_knots(np.array([touch, top, 3.0]), np.array([0.0, 0.24, 0.24]))
     expected = np.zeros(times.size)
-    touched = times > 0.04
+    touched = times > touch
     expected[touched] = stress_of_moves(moves, times[touched], FdenModel(1.0, gn, order))
     grid.begin(0.0)
     found = []
     for i in range(0, 1200, 4):
         steps = np.diff(times[i : i + 4], prepend=times[i - 1] if i else 0.0)
         found.append(grid.add(_Block(steps, strains[i : i + 4], np.full(4, 0.25), 0.0, 1.0))[0])
-    assert found == pytest.approx(expected.reshape(-1, 4).mean(axis=1), rel=2e-3, abs=1e-3)
+    assert found == pytest.approx(expected.reshape(-1, 4).mean(axis=1), rel=2e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 0.02], ids=["exact", "quiet", "loud"])

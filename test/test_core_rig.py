@@ -11,8 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core_helpers import off, states_of
-from pipeline_helpers import FORCE, identified, items_of, parameters_of, summaries_of
+from pipeline_helpers import (
+    FORCE,
+    identified,
+    items_of,
+    off,
+    parameters_of,
+    states_of,
+    summaries_of,
+)
 from property_helpers import counts, first
 from scipy.signal import lfilter
 from scipy.special import gamma
