@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from fden_ros.cli import main
 
@@ -31,3 +33,13 @@ def rows_of(table: Path) -> list[dict[str, str]]:
     """Return the rows of a table."""
     with table.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def with_values(config: Path, values: Mapping[str, object], name: str = "probe.yaml") -> Path:
+    """Write a parameter file with other values beside it; return that."""
+    content = yaml.safe_load(config.read_text(encoding="utf-8"))
+    (section,) = content.values()
+    section["ros__parameters"].update(values)
+    other = config.with_name(name)
+    other.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return other

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 import yaml
+from command_helpers import answer, with_values
 from pipeline_helpers import refusal
 
 from fden_ros.cli import main
@@ -160,17 +160,6 @@ def test_library_that_was_written_is_read_again():
         assert (one.degrees_of_freedom, one.prior) == (other.degrees_of_freedom, other.prior)
 
 
-def changed(path, other, **changes):
-    """Write a parameter file with other values to another path, and return that."""
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    (section,) = content.values()
-    for name, values in changes.items():
-        own = {f"{name}.{key}": value for key, value in values.items()}
-        section["ros__parameters"].update(own)
-    other.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return other
-
-
 def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
     labelled = []
     for name, g in (("soft", 450.0), ("stiff", 1500.0)):
@@ -179,11 +168,8 @@ def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
             tissue=Tissue(g, 8.0, 0.13),
         )  # fmt: skip
         write_recording(simulate(scenario), tmp_path / name)
-        config = changed(
-            tmp_path / name / "identifier.yaml",
-            tmp_path / "probe.yaml",
-            prior={"linear_stiffness_log_sd": 1.0},
-        )
+        own = tmp_path / name / "identifier.yaml"
+        config = with_values(own, {"prior.linear_stiffness_log_sd": 1.0})
         table = tmp_path / f"{name}.csv"
         options = ("--config", str(config), "-o", str(table), "--workers", "1")
         assert main(["batch", str(tmp_path / name), *options]) == 0
@@ -194,10 +180,8 @@ def test_tables_of_batch_become_a_library_that_a_replay_uses(tmp_path, capsys):
     recorded = yaml.safe_load(library.read_text(encoding="utf-8"))["geometry"]
     assert recorded["thickness"] == 0.02 and recorded["area"] == pytest.approx(math.pi * 1e-4)
 
-    chosen = changed(config, tmp_path / "chosen.yaml", classifier={"library": str(library)})
-    capsys.readouterr()
-    assert main(["replay", str(tmp_path / "stiff"), "--config", str(chosen), "--json"]) == 0
-    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    chosen = with_values(config, {"classifier.library": str(library)}, "chosen.yaml")
+    (contact,) = answer(capsys, "replay", tmp_path / "stiff", "--config", chosen)["contacts"]
     assert contact["label"] == "stiff" and contact["probabilities"]["stiff"] > 0.7
     assert 0.05 < contact["p_value"] <= 1.0
     assert 0.12 < contact["decision_strain"] <= 0.23

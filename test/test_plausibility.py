@@ -9,19 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline_helpers import LIVER_PARAMETERS, begun
+from pipeline_helpers import LIVER_PARAMETERS, begun, of_columns, summaries_of
 
 from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
+from fden_ros.core.estimation import Prior
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check
 from fden_ros.recording.source import Selection
 from fden_ros.recording.table import Columns
 from fden_ros.ros.status import PipelineProblems
-from simulation.simulate import EXACT
+from simulation.simulate import EXACT, KNOWN_RIG
 
 PRESS = Path(__file__).parent.parent / "examples" / "press.csv"
+#: 97 mN on 3.14 cm^2: time [s], force [N], depth [mm].
+FIRST_PRESS = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250)
 RIGHT = "time_s,force_N,depth_mm*1e-3"
 PROBE = {"geometry.area": 3.14e-4, "geometry.thickness": 0.02}
 #: What the data say counts, so that nothing but the flags stands against a good status.
@@ -90,7 +93,7 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
     pipeline, _ = begun(PROBE)
     problems = PipelineProblems(pipeline)
     said: list[tuple[str, ...]] = []
-    times, newtons, mm = np.loadtxt(PRESS, delimiter=",", skiprows=1, max_rows=1250).T
+    times, newtons, mm = FIRST_PRESS.T
     for k, _ in enumerate(fed(pipeline, times, force * newtons, displacement * 1e-3 * mm)):
         said += [problems.look().warnings] if k % 200 == 199 else []
     said = [one for one in [*said, tuple(pipeline.warnings)] if one]
@@ -123,3 +126,34 @@ def test_without_a_stated_geometry_nothing_is_converged(once):
     state = next(o for o in reversed(outputs) if isinstance(o, TissueState) and o.signals)
     live.add(state, 0.0)
     assert live.refusal(0.0).cause is Cause.REJECTED
+
+
+# From pN to kN: the same press in other sizes gives the same tissue
+
+
+def scaled(size: float, stress: float) -> ContactSummary:
+    """Return the press with lengths and stresses times factors."""
+    parameters = {
+        "geometry.area": PROBE["geometry.area"] * size**2,
+        "geometry.thickness": PROBE["geometry.thickness"] * size,
+        "prior.linear_stiffness": Prior().linear_stiffness * stress,
+        "plausibility.max_force": 1e4,
+        "force.noise_floor": 1e-16,
+        **KNOWN_RIG,
+    }
+    times, forces, depths = FIRST_PRESS.T
+    columns = times, forces * size**2 * stress, 1e-3 * depths * size
+    (summary,) = summaries_of(of_columns(parameters, *columns)[1])
+    return summary
+
+
+@pytest.mark.parametrize(("size", "stress"), [(1e-5, 1.0), (5.0, 1e3)], ids=["10 pN", "2 kN"])
+def test_a_press_is_the_same_tissue_in_any_size(size: float, stress: float) -> None:
+    summary = scaled(size, stress)
+    estimate, slope = summary.estimate, summary.measured.loading
+    assert estimate is not None and slope is not None
+    assert summary.converged and not summary.flags
+    # The example's truth is 450 and 9; the slope is that of the press itself, in its units.
+    assert estimate.linear_stiffness / stress == pytest.approx(448.0, rel=0.02)
+    assert estimate.nonlinear_stiffness == pytest.approx(9.0, rel=0.02)
+    assert slope.value / (size * stress) == pytest.approx(43.0, rel=0.04)

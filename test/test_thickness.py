@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from command_helpers import answer
+from command_helpers import answer, with_values
 
 from benchmark.laws import Law, springpot, stress_of_law
 from benchmark.trial import fed, last_summaries
@@ -78,12 +77,8 @@ def pressed(folder: Path) -> Path:
 
 def replayed(capsys: Any, bag: Path, **changes: object) -> dict[str, Any]:
     """Return the contact that `fden replay` finds, with the warnings."""
-    config = bag / "identifier.yaml"
-    content = yaml.safe_load(config.read_text())
-    for section in content.values():
-        own = {f"geometry.{name}": value for name, value in changes.items()}
-        section["ros__parameters"].update(own)
-    config.write_text(yaml.safe_dump(content))
+    changed = {f"geometry.{name}": value for name, value in changes.items()}
+    config = with_values(bag / "identifier.yaml", changed)
     result = answer(capsys, "replay", bag, "--config", config)
     (contact,) = result["contacts"]
     return contact | {"warnings": result["warnings"]}
