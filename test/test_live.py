@@ -29,6 +29,7 @@ from live_helpers import (
     wait_for,
 )
 from output_helpers import ESTIMATE, summary
+from pipeline_helpers import of_columns, states_of
 from property_helpers import counts
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console
@@ -36,6 +37,7 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
+from benchmark.trial import elapsed
 from fden_ros.control import Cause, LiveTissue, Refusal
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.law import FlatPunch
@@ -49,14 +51,14 @@ from fden_ros.core.outputs import (
     TissueState,
     late,
 )
-from fden_ros.core.pipeline import Pipeline
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.report.monitor import MonitorView, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
-from fden_ros.simulation import Column, Command, FdenModel, Rig, RigConfig
+from fden_ros.simulation import FdenModel
 from fden_ros.tissue_feed import TissueFeed
+from simulation.closed_form import moves_of_knots
+from simulation.contact import contacts_of_moves
 from simulation.simulate import EXACT
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -274,39 +276,27 @@ DEADLINE = 0.1
 
 
 class Press:
-    """A press with everything recorded, and the states that the pipeline made of it."""
+    """A press to 5 mm at 250 Hz with its true force, and the states that the pipeline made of it.
 
-    def __init__(self, model: FdenModel, seed: int, after: float, seconds: float = 4.2) -> None:
-        rig = Rig(RigConfig((Column(model),), seed=seed))
-        self.states: list[TissueState] = []
-        pipeline = Pipeline(
-            pipeline_config(
-                check({**EXACT, "geometry.area": AREA, "geometry.thickness": THICKNESS})
-            ),
-            lambda out: self.states.append(out) if isinstance(out, TissueState) else None,
-        )
-        kept = []
-        for n in range(int(seconds / rig.config.step)):
-            if n % 50 == 0:
-                rig.command(Command.VELOCITY, self._velocity(rig, after))
-            rig.step()
-            kept.append((rig.time, rig.force, rig.depth))
-            if n % 4 == 0:
-                stamp_ns = round(rig.time * NANOSECONDS) + NANOSECONDS
-                pipeline.add_displacement(stamp_ns, rig.measured_position()[2])
-                pipeline.add_force(stamp_ns, rig.measured_force())
-        self.times, self.force, self.depth = np.array(kept).T
+    `after` is its speed from 3 s on [m/s].
+    """
 
-    @staticmethod
-    def _velocity(rig: Rig, after: float) -> float:
-        if rig.time < 1.5 or (rig.depth > 0.004 and rig.time < 3.0):
-            return 0.0
-        return 0.005 if rig.time < 3.0 else after
+    def __init__(self, model: FdenModel, seed: int, after: float) -> None:
+        draw, knots = np.random.default_rng(seed), np.array([0.0, 1.5, 2.7, 3.0, 4.2])
+        depths = np.array([-2e-3, -2e-3, 5e-3, 5e-3, 5e-3 + 1.2 * after])
+        self.times = np.arange(0.0, 4.2, 4e-3)
+        self.depth = np.interp(self.times, knots, depths)
+        contacts = contacts_of_moves(moves_of_knots(knots, depths / THICKNESS), model)
+        self.force = AREA * contacts.stress(self.times)
+        read = self.force + 1e-3 * draw.standard_normal(self.times.size)
+        parameters = EXACT | {"geometry.area": AREA, "geometry.thickness": THICKNESS}
+        places = self.depth + 1e-6 * draw.standard_normal(self.times.size)
+        self.states = states_of(of_columns(parameters, self.times, read, places)[1])
 
     def heard_until(self, seconds: float, **options: Any) -> tuple[LiveTissue, float]:
         """Return who heard the states so far, and the time of the last."""
         live = LiveTissue(GEOMETRY, **options)
-        heard = [s for s in self.states if s.stamp_ns <= (seconds + 1.0) * NANOSECONDS]
+        heard = [state for state in self.states if elapsed(state.stamp_ns) <= seconds]
         for state in heard:
             live.add(state, state.stamp_ns / NANOSECONDS)
         self.last = heard[-1]
@@ -333,7 +323,7 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds):
         run = Press(FdenModel(g, gn, order), seed, after=(0.002, 0.004, -0.002, 0.0)[seed % 4])
         live, now = run.heard_until(3.0)
         # The estimate stands for the middle of its block.
-        start = now - 1.0 - 0.005
+        start = elapsed(run.last.stamp_ns) - 0.005
         ahead = np.linspace(0.02, 1.0, 50)
         way = np.interp(start + ahead, run.times, run.depth) - np.interp(
             start, run.times, run.depth
