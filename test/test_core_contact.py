@@ -15,6 +15,7 @@ from property_helpers import counts, first
 from scipy.signal import lfilter
 
 from benchmark.trial import feed
+from fden_ros.core.air_after import AirAfter
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
 from fden_ros.core.contact.air import filter_time
 from fden_ros.core.contact.surface import find_surface
@@ -116,6 +117,27 @@ def test_brief_dip_of_the_force_does_not_end_a_contact(begin):
     force[begin : begin + 35] = 0.3  # one whole chunk of 20 ms and no two, wherever they begin
     _, events = detected(made(force, displacement))
     assert is_one_contact(events) and max(events) > 2.9
+
+
+@pytest.mark.parametrize(("low", "is_one"), [(0.075, True), (0.03, False)])
+def test_a_contact_ends_below_half_of_its_threshold(low, is_one):
+    time = np.arange(0.0, 7.0, 1e-3)
+    knots, ways = [2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 7.0], [0.0, 1.0, low, low, 1.0, 0.0, -0.2]
+    way = np.interp(time, [0.0, *knots], [-0.2, *ways])
+    force = np.maximum(way, 0.0) + 0.01 * np.random.default_rng(3).standard_normal(way.size)
+    events = detected(made(force, 0.005 * way), force_threshold=0.1)[1]
+    assert is_one_contact(events) == is_one
+
+
+def test_the_force_after_a_contact_may_have_drifted_by_the_root_of_its_time():
+    force, displacement = press(np.random.default_rng(1))
+    (onset,) = onsets(made(force, displacement))
+    after = AirAfter(onset, 0, drift_sd=0.02)
+    start = onset.samples[0].stamp_ns + 16_000_000_000
+    for k in range(100):
+        after.average(Pair(0, start + k * 10_000_000, 0.3 + 0.24, -0.001, None))
+    # 0.24 N for 0.02 N in one second, after 16.5 s.
+    assert after.change().deviations == pytest.approx(0.24 / (0.02 * 16.5**0.5), rel=0.05)
 
 
 def test_probe_behind_the_surface_is_off_the_tissue_in_spite_of_the_sensor_s_drift():

@@ -24,6 +24,7 @@ from fden_ros.core.law import (
     elastic_response,
     hayes_factor,
     log_phi,
+    log_stiffness,
     log_strain,
     memory_weights,
     phi,
@@ -73,6 +74,17 @@ def test_apparent_stiffness_is_the_relaxation_of_a_step():
     assert apparent_stiffness_factor(0.32, 0.1) == pytest.approx(0.1**-0.32 / gamma(0.68))
 
 
+@pytest.mark.parametrize("strain", [0.05, 0.2])
+def test_variance_of_the_stiffness_is_that_of_its_differences(strain):
+    """Below and beyond the boundary strain of 1/8, at a time other than 1 s."""
+    mean, step = np.array([6.0, math.log(8.0), 0.2]), 1e-6 * np.eye(3)
+    ahead, behind = (log_stiffness(mean + s * step, np.eye(3), strain, 0.1) for s in (1.0, -1.0))
+    gradient = (ahead.value - behind.value) / 2e-6
+    for covariance in np.eye(3)[:, :, None] * np.eye(3)[:, None]:
+        found = log_stiffness(mean, covariance, strain, 0.1).variance
+        assert found == pytest.approx(gradient @ covariance @ gradient, rel=1e-6)
+
+
 # Geometries: force and displacement to stress and strain
 
 
@@ -108,13 +120,16 @@ def test_geometries_have_the_stress_of_elastic_theory():
     size, depth = 0.005, 2e-4
     # For G = 1 the stress is the strain.
     sphere, rod, column = Sphere(size), TorsionalRheometer(0.01, size), FlatPunch(1e-4, size)
-    rod_strain = 0.5 * 0.01 * depth / size
+    rod_strain, punch = 0.5 * 0.01 * depth / size, FlatPunch(math.pi * 0.002**2, size, 0.4)
     for geometry, force, strain in (
         (sphere, 4.0 / 3.0 * math.sqrt(size) * depth**1.5, (depth / size) ** 1.5),
         (rod, math.pi * 0.01**3 * rod_strain, rod_strain),
         (column, 1e-4 * depth / size, depth / size),
+        (punch, 2.0 * 0.002 * HAYES_TABLE[0.4][2] * depth / (1.0 - 0.4**2), depth / size),
     ):
-        assert force * geometry.stress_per_force == pytest.approx(strain)
+        # The table is good to half a per cent.
+        within = 5e-3 if geometry is punch else 1e-6
+        assert force * geometry.stress_per_force == pytest.approx(strain, rel=within)
         assert geometry.strain(depth / geometry.length) == pytest.approx(strain)
 
 

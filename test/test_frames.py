@@ -23,6 +23,8 @@ from scipy.spatial.transform import Rotation
 from fden_ros.cli import main
 from fden_ros.core.outputs import ContactSummary, TissueState
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams.rotation import Transform
+from fden_ros.core.streams.tool import ToolPath
 from fden_ros.errors import InputError
 from fden_ros.inputs import Inputs
 from fden_ros.offline.replay import replay
@@ -232,3 +234,12 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     assert "up to 20 degrees askew: the motion along the tool counts as 0.940 of it" in words
     # The punch of 10 mm radius: 20 mm times the tangent.
     assert "by its edge first, over 7.3 mm" in words
+
+
+def test_a_turn_about_a_far_point_is_no_travel_along_the_tool():
+    path = ToolPath((1.0, 0.0, 0.0), None)
+    for angle in np.linspace(0.0, 0.6, 31):
+        turn = Rotation.from_euler("z", angle)
+        place, rotation = turn.apply([0.6, 0.0, 0.0]).tolist(), turn.as_quat().tolist()
+        travel, _ = path.add(Transform(tuple(place), tuple(rotation)))
+    assert abs(travel) < 1e-12
