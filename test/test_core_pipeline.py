@@ -149,7 +149,7 @@ def test_a_gap_shorter_than_the_greatest_allowed_leaves_contact_and_memory() -> 
     assert sd_of(result.summaries[1]) < 0.9 * sd_of(result.summaries[0])
 
 
-def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more() -> None:
+def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_soon_after() -> None:
     result, begin = with_gap(0.19)
     first, later = result.summaries
     assert ids(result.summaries) == [(1, 1), (1, 2)]
@@ -165,6 +165,26 @@ def test_a_longer_gap_ends_the_contact_and_nothing_is_said_of_its_site_any_more(
     # What the tissue remembers of the gap is not known, so a later contact there says nothing.
     assert later.complete and later.flags & Flag.GAP
     assert later.estimate is None and not later.converged and later.classes is None
+
+
+@pytest.mark.parametrize("kind", ["joint_state", "pose"])
+@pytest.mark.parametrize(("rest_s", "is_flagged"), [(3.0, True), (200.0, False)])
+def test_a_place_begins_anew_after_a_gap_and_is_flagged_while_tissue_remembers_it(
+    rest_s: float, is_flagged: bool, kind: str
+) -> None:
+    twice = Palpation(0.3, 0.26, 0.3, presses=2, lift_m=0.002, pause_s=rest_s)
+    data = presses((twice,), message=kind)
+    begin, end = at(data, 0, 0.4), at(data, 0, 1.0)
+    # Of a long rest only the ends are fed.
+    rested = at(data, 1, 0.0) - 3 * SECOND
+    parts = (0, begin), (begin + SECOND // 5, end + SECOND), (max(rested, end + SECOND), math.inf)
+    items = [item for part in parts for item in between(data, *part)]
+    result = outcome(data, items, synchronize__max_gap=0.19, site__without_position="same")
+    first, later = result.summaries
+    assert ids(result.summaries) == [(1, 1), (2, 2)]
+    assert not first.complete and first.flags & Flag.GAP
+    assert later.converged and bool(later.flags & Flag.GAP) == is_flagged
+    assert is_flagged or not is_wrong(later, data.sites[0])
 
 
 # Faint contacts
