@@ -15,8 +15,8 @@ import pytest
 
 from benchmark.trial import begun, fed, samples_of
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import Estimate
-from fden_ros.core.outputs import ContactSummary, Output, TissueState
+from fden_ros.core.estimation import Estimate, ParameterSet
+from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
 from fden_ros.errors import InputError
 from fden_ros.parameters import read_parameter_file
@@ -116,3 +116,41 @@ def off(estimate: Estimate, tissue: Sequence[float]) -> np.ndarray:
 
 def states_of(outputs: Iterable[Output]) -> list[TissueState]:
     return [output for output in outputs if isinstance(output, TissueState)]
+
+
+ESTIMATE = Estimate(
+    math.log(500.0),
+    math.log(8.0),
+    0.13,
+    np.diag([0.01, 0.0004, 0.0001]),
+    contact_point=0.0,
+    contact_point_sd=0.0,
+    probability_beyond_boundary=1.0,
+    observable=ParameterSet.ALL,
+    known=ParameterSet.ALL,
+    sample_count=1000,
+)
+
+
+def summary(**changes: Any) -> ContactSummary:
+    """A converged contact with liver."""
+    values: dict[str, Any] = {
+        "stamp_ns": 2,
+        "start_ns": 0,
+        "end_ns": 2,
+        "site_id": 1,
+        "contact_id": 1,
+        "flags": Flag.NONE,
+        "converged": True,
+        "complete": True,
+        "position": None,
+        "order_source": OrderSource.LEARNED,
+        "estimate": ESTIMATE,
+        "max_strain": 0.3,
+        "max_stress": 900.0,
+        "max_force": 0.3,
+        "sample_count": 100,
+        "rejected_count": 0,
+        "classes": None,
+    }
+    return ContactSummary(**values | changes)

@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
 from benchmark.changes import CASES, CHANGES, NOTHING, Change, Pressed, press, run_trial
 from benchmark.trial import fed
+from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.outputs import ContactSummary, Flag, Output, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -33,16 +35,34 @@ def test_a_change_is_reported_after_it_began(case, change, number):
     assert 0.0 <= run_trial((case, change.name), number) < 2.0
 
 
-def pressed(case: str, number: int, change: Change = NOTHING) -> tuple[Pressed, list[Output]]:
+def pressed(
+    case: str,
+    number: int,
+    change: Change = NOTHING,
+    forces: Callable[[Pressed], Array] = lambda own: own.forces,
+) -> tuple[Pressed, list[Output]]:
     """Return a press, and the outputs of the pipeline."""
     row, outputs = CASES[case], list[Output]()
     parameters = check({**row.parameters, **row.geometry.parameters})
     pipeline = Pipeline(pipeline_config(parameters), outputs.append)
     own = press(row.geometry, row.rate_hz, change, number)
-    for _ in fed(pipeline, own.times, own.forces, own.displacements):
+    for _ in fed(pipeline, own.times, forces(own), own.displacements):
         pass
     pipeline.finish()
     return own, outputs
+
+
+@pytest.mark.parametrize(("seconds", "is_changed"), [(0.06, False), (0.2, True)])
+def test_a_brief_jerk_of_the_force_is_no_change(seconds, is_changed):
+    def jerked(own: Pressed) -> Array:
+        middle = own.times[own.forces.argmax()] + 0.3
+        is_during = (own.times > middle) & (own.times < middle + seconds)
+        return own.forces + 0.2 * own.forces.max() * is_during
+
+    states = [
+        one for one in pressed("flat_500", 2, forces=jerked)[1] if isinstance(one, TissueState)
+    ]
+    assert any(state.flags & Flag.TISSUE_CHANGED for state in states) == is_changed
 
 
 def test_nothing_is_known_once_the_tissue_has_changed():

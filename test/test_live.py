@@ -28,8 +28,7 @@ from live_helpers import (
     process_of,
     wait_for,
 )
-from output_helpers import ESTIMATE, summary
-from pipeline_helpers import of_columns, states_of
+from pipeline_helpers import ESTIMATE, of_columns, states_of, summary
 from property_helpers import counts
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rich.console import Console

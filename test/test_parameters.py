@@ -336,7 +336,9 @@ EFFECTS: dict[str, Effect] = {
         "plain",
         RIGID,
         0.2,
-        lambda a, b: b.last.deviations[0] ** 2 == near(a.last.deviations[0] ** 2 + 0.04),
+        lambda a, b: np.allclose(
+            b.last.covariance[:2, :2], a.last.covariance[:2, :2] + 0.04, 0.01
+        ),
     ),
     "origin.source": (
         "plain",

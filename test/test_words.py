@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from output_helpers import ESTIMATE, summary
-from pipeline_helpers import Item, identified, items_of, off, summaries_of
+from pipeline_helpers import ESTIMATE, Item, identified, items_of, off, summaries_of, summary
 from property_helpers import first
 from rich.console import Console
 
