@@ -30,8 +30,8 @@ _domain = contextlib.ExitStack()
 #: Files that take longest are begun first: at the end no process waits long for another.
 LONGEST = (
     *("documentation", "live", "benchmark", "identifier", "configure", "faults", "parameters"),
-    *("stiffness_alone", "core_rig", "core_continuous", "cluster", "faults_node", "node_start"),
-    *("core_pipeline_failures", "core_known", "first_hour", "packaging", "commands"),
+    *("core_rig", "core_continuous", "cluster", "faults_node", "node_start"),
+    *("core_pipeline_failures", "core_known", "packaging", "commands"),
 )
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import shutil
 import signal
@@ -14,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import command_helpers
 import pytest
 from live_helpers import wait_for
 
@@ -64,8 +64,7 @@ def command(places: Path, table: Path, *options: str | Path) -> list[str]:
 
 
 def rows_of(table: Path) -> list[dict[str, str]]:
-    with table.open(encoding="utf-8", newline="") as file:
-        return sorted(csv.DictReader(file), key=lambda row: (row["bag"], row["contact_id"]))
+    return sorted(command_helpers.rows_of(table), key=lambda row: (row["bag"], row["contact_id"]))
 
 
 def test_the_table_of_a_cluster_is_that_of_this_machine(tmp_path, scheduler, capsys):

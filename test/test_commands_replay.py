@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,15 +25,9 @@ from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.status import PipelineProblems
 from simulation.bag import PARAMETER_FILE
 
-ROOT = Path(__file__).parent.parent
-GOLDEN = ROOT / "bags" / "golden"
+GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
 PRESS = GOLDEN / "golden_press"
 POSE = GOLDEN / "golden_pose"
-
-
-def replayed(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
-    result: dict[str, Any] = answer(capsys, "replay", *words)
-    return result
 
 
 def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | Path) -> str:
@@ -56,7 +49,7 @@ def test_damaged_messages_are_counted_and_the_others_used(
         for number, message in enumerate(source.messages()):
             data = message.data[:10] if number in (500, 501, 502) else message.data
             bag.write(message.topic, data, message.log_time_ns)
-    result = replayed(capsys, tmp_path / "bag", "--config", PRESS / "identifier.yaml")
+    result = answer(capsys, "replay", tmp_path / "bag", "--config", PRESS / "identifier.yaml")
     damaged = {k: n for k, n in result["rejected"].items() if k.endswith(".damaged")}
     assert sum(damaged.values()) == 3
     assert len(result["contacts"]) == 2
@@ -93,7 +86,7 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
 ) -> None:
     out = tmp_path / "results"
     options = ("--config", POSE / "identifier.yaml", "-o", out)
-    result = replayed(capsys, POSE, *options)
+    result = answer(capsys, "replay", POSE, *options)
     source = BagReader(POSE)
     contents = {topic.name: topic for topic in BagReader(out).topics}
     assert set(contents) == {

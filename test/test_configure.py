@@ -45,8 +45,8 @@ from simulation.scenario import (
 from simulation.simulate import START_NS, Recording, simulate
 from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
-CONFIG = Path(__file__).parents[1] / "config"
-PRESS = Path(__file__).parents[1] / "examples" / "press.csv"
+ROOT = Path(__file__).parents[1]
+CONFIG, PRESS = ROOT / "config", ROOT / "examples" / "press.csv"
 #: Whole recordings: turns, a plate and tissue.
 WHOLE: dict[str, Any] = {
     **dict.fromkeys(("turns", "rigid", "tissue", "leaves"), True),
@@ -495,9 +495,8 @@ def test_signs_of_slow_presses_are_right_or_left_open(seeds):
 # A new user's first hour: from a recording of an arm to numbers
 
 
-PAGE = Path(__file__).parent.parent / "docs" / "quickstart.md"
+PAGE = ROOT / "docs" / "quickstart.md"
 NOISE, DOWN = 0.02, np.array([0.0, 0.0, -1.0])
-UR = "/force_torque_sensor_broadcaster/wrench", "/tcp_pose_broadcaster/pose"
 
 
 def recorded(folder: Path, seed: int) -> tuple[float, float, float]:
@@ -530,12 +529,12 @@ def recorded(folder: Path, seed: int) -> tuple[float, float, float]:
         ),
     )
     recording = simulate(scenario)
-    streams = recording.force, recording.displacement
-    times = [1e-9 * (one.stamp_ns - streams[0].stamp_ns[0]) + 1.0 for one in streams]
+    times, motion_times = (one + 1.0 for one in times_of(recording))
     force = np.outer(recording.force.value, DOWN)
     force[:, :2] += draw.normal(0.0, NOISE, (len(force), 2))
     position = np.outer(recording.displacement.value, DOWN) + np.array([0.3, -0.2, 0.1])
-    RigBag(Streams("arm", times[0], force, times[1], position), *UR).write(folder)
+    streams = Streams("arm", times, force, motion_times, position)
+    RigBag(streams, *LAYOUTS["ur"][:2]).write(folder)
     return math.log(g), math.log(gn), alpha
 
 

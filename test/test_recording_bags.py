@@ -39,13 +39,16 @@ def wrench(force: float, stamp_ns: int = START) -> WrenchStamped:
     return message
 
 
-def write_bag(folder: Path, count: int = 50, **options: Any) -> Path:
+def write_bag(folder: Path, count: int = 50, step_ns: int = 1, **options: Any) -> Path:
     with BagWriter(folder, **options) as bag:
-        bag.add_topic("/force", WRENCH, LATCHED)
+        bag.add_topic("/truth", "std_msgs/msg/String", LATCHED)
+        bag.add_topic("/force", WRENCH)
         bag.add_topic("/joints", JOINTS)
+        bag.write("/truth", String(data="{}"), START)
         for i in range(count):
-            bag.write("/force", wrench(i, START + i), START + i)
-            bag.write("/joints", JointState(name=["probe"], position=[i * 1e-3]), START + i)
+            time_ns = START + i * step_ns
+            bag.write("/force", wrench(i, time_ns), time_ns)
+            bag.write("/joints", JointState(name=["probe"], position=[i * 1e-3]), time_ns)
     return folder
 
 
@@ -71,17 +74,17 @@ def data_of(path: Path) -> list[bytes]:
 def test_a_bag_reads_back_as_written(tmp_path):
     bag = BagReader(write_bag(tmp_path / "bag"))
     messages = list(bag.messages())
-    assert [message.topic for message in messages] == ["/force", "/joints"] * 50
-    assert [message.log_time_ns - START for message in messages[::2]] == list(range(50))
-    assert serialize(decode(messages[98])) == serialize(wrench(49, START + 49))
-    assert (bag.message_count, bag.start_ns, bag.end_ns) == (100, START, START + 49)
+    assert [message.topic for message in messages] == ["/truth", *["/force", "/joints"] * 50]
+    assert [message.log_time_ns - START for message in messages[1::2]] == list(range(50))
+    assert serialize(decode(messages[99])) == serialize(wrench(49, START + 49))
+    assert (bag.message_count, bag.start_ns, bag.end_ns) == (101, START, START + 49)
     assert bag.warnings == ()
-    force, joints = bag.topics
+    force, joints, truth = bag.topics
     assert (force.name, force.type_name, force.message_count) == ("/force", WRENCH, 50)
-    assert (force.offered_qos, joints.offered_qos) == ((LATCHED,), (RELIABLE,))
+    assert (truth.offered_qos, joints.offered_qos) == ((LATCHED,), (RELIABLE,))
     assert (force.encoding, force.type_hash) == ("ros2msg", type_hash(WRENCH))
     assert {message.topic for message in bag.messages(["/joints"])} == {"/joints"}
-    with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints"):
+    with pytest.raises(InputError, match="has no topic /torque: it has /force, /joints, /truth"):
         bag.messages(["/torque"])
     assert data_of(tmp_path / "bag" / "bag.mcap") == data_of(tmp_path / "bag")
 
@@ -91,7 +94,7 @@ def test_only_a_bag_is_replaced_and_only_when_asked(tmp_path):
     with pytest.raises(InputError, match=r"exists.*--force"):
         write_bag(folder)
     write_bag(folder, count=3, overwrite=True)
-    assert BagReader(folder).message_count == 6
+    assert BagReader(folder).message_count == 7
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").write_text("years")
@@ -172,25 +175,8 @@ def test_bag_command_makes_the_same_bag_twice(tmp_path, capsys):
 # A bag on live topics: every message, at its pace, under the names that are given
 
 
-STEP_NS = 100_000_000
-
-
-def make_bag(folder: Path, count: int, step_ns: int = STEP_NS) -> BagReader:
-    with BagWriter(folder) as bag:
-        bag.add_topic("/truth", "std_msgs/msg/String", LATCHED)
-        bag.add_topic("/force", "geometry_msgs/msg/WrenchStamped", RELIABLE)
-        bag.add_topic("/joints", "sensor_msgs/msg/JointState", RELIABLE)
-        bag.write("/truth", String(data="{}"), START)
-        for i in range(count):
-            force = WrenchStamped(header=Header(frame_id="probe"))
-            force.wrench.force.z = float(i)
-            bag.write("/force", force, START + i * step_ns)
-            bag.write("/joints", JointState(name=["probe"]), START + i * step_ns)
-    return BagReader(folder)
-
-
 def test_a_subscriber_receives_every_message_bit_for_bit_in_order(tmp_path):
-    bag = make_bag(tmp_path / "bag", 1000, step_ns=1_000_000)
+    bag = BagReader(write_bag(tmp_path / "bag", 1000, 1_000_000))
     deep = QoSProfile(depth=10_000)
     with Ears() as ears, ThreadPoolExecutor() as pool:
         heard: dict[str, list[bytes]] = {"/tool/force": [], "/joints": []}
@@ -207,7 +193,7 @@ def test_a_subscriber_receives_every_message_bit_for_bit_in_order(tmp_path):
 
 
 def test_what_nobody_hears_and_what_cannot_be_used_are_refused_in_one_line(tmp_path):
-    bag = make_bag(tmp_path / "bag", 3)
+    bag = BagReader(write_bag(tmp_path / "bag", 3))
     with pytest.raises(InputError, match=r"^/force, /joints: no subscriber after 0\.1 s$"):
         player.play(bag, wait=0.1)
     assert main(["play", str(tmp_path / "nowhere")]) == 1

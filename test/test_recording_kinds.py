@@ -35,15 +35,13 @@ from fden_ros.configure.reading import read
 from fden_ros.errors import InputError
 from fden_ros.nodes.player import problem_of
 from fden_ros.offline.replay import replay, result_object
-from fden_ros.parameters import check, read_parameter_file
+from fden_ros.parameters import check
 from fden_ros.recording.message_types import serialize
 from fden_ros.recording.reader import BagReader, decode
 from fden_ros.recording.source import Selection, open_source
 from fden_ros.recording.table import Columns, TableReader
 from fden_ros.recording.text import looks_like_a_table
 from fden_ros.recording.writer import BagWriter
-
-PRESS = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
 
 
 def reader_of(folder: Path, table: Table) -> TableReader:
@@ -107,19 +105,6 @@ def test_every_kind_of_bag_gives_the_same_messages_or_says_why_not_in_one_line(k
     assert (bag.start_ns, bag.end_ns) == (START, START + 1_190_000_000)
     assert (NO_METADATA in " ".join(bag.warnings)) == (expected.warned == NO_METADATA)
     assert not any(map(problem_of, bag.topics))
-
-
-def test_a_replay_of_any_kind_is_that_of_mcap_bit_for_bit(tmp_path):
-    parameters = read_parameter_file(PRESS / "identifier.yaml")
-    messages = list(BagReader(PRESS).messages(["/force", "/displacement"]))
-    results = []
-    for kind in ("MCAP", "sqlite3", "ROS 1"):
-        (tmp_path / kind).mkdir()
-        # The first of two presses.
-        bag = bag_of(kind, tmp_path / kind, messages[: len(messages) // 2])
-        results.append(result_object(replay(bag, parameters)))
-    assert results[0] == results[1] == results[2]
-    assert results[0]["contacts"][0]["converged"]
 
 
 @pytest.mark.parametrize("kind", ["sqlite3 file", "ROS 1", "ROS 1 in lz4", "MCAP", "table"])
