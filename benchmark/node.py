@@ -306,6 +306,7 @@ def _source(turns: Sequence[tuple[str, float]]) -> None:
     first = round(_RATE * _PRESS_FROM)
     streams = (recording.force, recording.displacement)
     forces, depths = (np.roll(stream.value, -first).tolist() for stream in streams)
+    size = len(forces)
     wrench, joint = WrenchStamped(), JointState(name=["probe"])
     wrench.header.frame_id = joint.header.frame_id = "tool"
 
@@ -328,11 +329,14 @@ def _source(turns: Sequence[tuple[str, float]]) -> None:
             ahead = begin + k / _RATE - time.monotonic()
             if ahead > 0.0:
                 time.sleep(ahead)
+            # However late this process is: what is sent is of the time of its stamp.
+            place, part = divmod((time.monotonic() - begin) * _RATE, 1.0)
             for message in (wrench, joint):
                 stamp = message.header.stamp
                 stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
-            wrench.wrench.force.z = forces[k % len(forces)]
-            joint.position = [depths[k % len(depths)]]
+            at, after = int(place) % size, (int(place) + 1) % size
+            wrench.wrench.force.z = (1.0 - part) * forces[at] + part * forces[after]
+            joint.position = [(1.0 - part) * depths[at] + part * depths[after]]
             displacement, force = publishers[namespace]
             displacement.publish(joint)
             force.publish(wrench)
