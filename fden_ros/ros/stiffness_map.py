@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import array
+import math
 from collections import OrderedDict
 
 import numpy as np
@@ -101,6 +102,6 @@ def _values_of(summary: ContactSummary) -> tuple[float, ...]:
         estimate.linear_stiffness_sd,
         estimate.nonlinear_stiffness_sd,
         estimate.fractional_order_sd,
-        stiffness.value if stiffness is not None else 0.0,
-        stiffness.sd if stiffness is not None else 0.0,
+        stiffness.value if stiffness is not None else math.nan,
+        stiffness.sd if stiffness is not None else math.nan,
     )
