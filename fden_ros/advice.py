@@ -49,7 +49,8 @@ FORCE_DRIFTED | the force in the air after the contact differs from the force be
   standard deviations are widened | tare, let the sensor warm up, or state force.drift_sd
 SATURATED | the force was at its limit: stuck, beyond force.limit, or constant while the probe
   moved on | press less, or raise force.limit if the sensor's limit is higher
-GAP | samples of this site are missing | make the link reliable
+GAP | samples of this site are missing
+  | make the link reliable, and touch elsewhere or let the tissue rest
 """)
 #: By the source of a variance.
 SOURCES = _table("""
