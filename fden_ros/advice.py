@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Advice(NamedTuple):
-    """What is wrong, and what helps; an empty remedy: nothing is known to."""
+    """A problem and its remedy, which is empty if none is known."""
 
     sentence: str
     remedy: str = ""
@@ -19,7 +19,7 @@ class Advice(NamedTuple):
         return f"{self.sentence}; {self.remedy}" if self.remedy else self.sentence
 
     def of(self, **values: object) -> Advice:
-        """Return it with values in its places."""
+        """Return the advice with values in place of its names."""
         return Advice(*(words.format(**values) for words in self))
 
 
@@ -85,7 +85,7 @@ nonlinear_stiffness | Gn is at a limit of its prior
 fractional_order | alpha is at a limit of the range of tissue
   | measure the delay with fden configure, or rely on the measured slope
 """)
-#: By what is odd about the samples.
+#: By the problem of the samples.
 INPUTS = _table("""
 displacement sign | the force grows as the displacement falls
   | change the sign of the displacement (displacement.axis, displacement.inverted)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The command ``fden``: one subcommand a module of :mod:`fden_ros.commands`."""
+"""The command ``fden``: one subcommand per module of :mod:`fden_ros.commands`."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         parser = build_parser()
         if "_ARGCOMPLETE" in os.environ:
-            import argcomplete  # the shell asks what may come next
+            import argcomplete  # the shell requests completions
 
             argcomplete.autocomplete(parser)
         given = sys.argv[1:] if arguments is None else arguments
@@ -130,13 +130,13 @@ def _show(hint: Hint, arguments: Sequence[str]) -> None:
 
 
 def program() -> int:
-    """Run ``fden`` in a process of its own, which Ctrl-C ends with 130, if it comes twice too."""
+    """Run ``fden`` as a program; Ctrl-C, even if it comes twice, ends it with exit code 130."""
     newest = -math.inf
 
     def interrupt(number: int, frame: object) -> None:
         nonlocal newest
-        # A terminal and a launch file both send it: the second must not disturb the first's way
-        # out.
+        # A terminal and a launch file both send it: the second must not interrupt the clean-up
+        # after the first.
         before, newest = newest, time.monotonic()
         if newest - before > _SAME_INTERRUPT:
             raise KeyboardInterrupt

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 class Hint:
     """What a command shows below the line of an error."""
 
-    lines: tuple[str, ...]  #: what there is to choose from
-    options: tuple[str, ...] = ()  #: with which the same command would go on
+    lines: tuple[str, ...]  #: the choices
+    options: tuple[str, ...] = ()  #: with these the same command would work
 
 
 class InputError(Exception):
@@ -37,7 +37,7 @@ class InputError(Exception):
 
 
 def without_ros(error: ModuleNotFoundError) -> InputError:
-    """Return the line for somebody who has no ROS 2, or not the messages.
+    """Return the line for a computer without ROS 2 or without the messages.
 
     Raises
     ------

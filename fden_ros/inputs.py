@@ -92,7 +92,7 @@ class Inputs:
         self.reset()
 
     def reset(self) -> None:
-        """Let the next messages say their frames anew."""
+        """Forget the frames: the next messages set them."""
         self._frames: dict[str, str] = {}
 
     @property
@@ -155,7 +155,7 @@ class Inputs:
         """Add a number or a position [m]; None: missing."""
         if not self._is_own_frame("displacement", frame_id):
             return
-        # A number says nothing of the tool's orientation.
+        # A number does not show the tool's orientation.
         if value is None or (isinstance(value, float) and self._takes_turn):
             self._sink.reject("displacement", Reason.MISSING_FIELD)
         elif isinstance(value, float):

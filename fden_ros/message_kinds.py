@@ -71,5 +71,5 @@ PLACES: Mapping[str, MessageKind] = {
 
 
 def kind_of(message: Any, kinds: Mapping[str, MessageKind]) -> MessageKind:
-    """Return of which kind a message is."""
+    """Return the kind of a message."""
     return next(kind for kind in kinds.values() if kind.is_kind_of(message))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Live tissue parameters for a controller: trust a number, or know at once that it cannot be.
+"""Live tissue parameters for a controller: a reliable number, or at once the reason for none.
 
 >>> feed = TissueFeed(node, "/identifier")                                     # doctest: +SKIP
 >>> known = feed.stiffness()                                                   # doctest: +SKIP
@@ -32,9 +32,9 @@ from fden_ros.parameters import check, read_parameter_file, uncertainty_of
 from fden_ros.ros.messages import state_of
 from fden_ros.ros.plain_node import plain_node
 
-#: What the identifier offers; a feed cannot ask for less [s].
+#: The deadline that the identifier offers; a feed cannot request a shorter one [s].
 OFFERED_DEADLINE, OFFERED_LEASE = 0.05, 0.2
-#: The age is looked at five times per deadline.
+#: The age is checked five times per deadline.
 _CHECKS_PER_DEADLINE = 5
 _SPIN_TIMEOUT = 0.02
 
@@ -42,7 +42,7 @@ _SPIN_TIMEOUT = 0.02
 class TissueFeed(LiveTissue):
     """The latest estimate with its age; refuses what cannot be relied on.
 
-    Who calls a method learns of a frozen, killed or unreachable identifier no later than the
+    The caller of a method learns of a frozen, killed or unreachable identifier no later than the
     deadline, even if no callback could run; DDS reports it by a liveliness lease.
 
     Parameters

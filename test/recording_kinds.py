@@ -236,7 +236,7 @@ TABLES: dict[str, Table] = {
     "rows above a line of words": Table(
         NEWTONS + "".join(f"{k},1,2\n" for k in range(12)) + "stop,of,arm\n"
         + "".join(f"{k},1,2\n" for k in range(20, 60)), "1,2,3",
-        refused=("12 rows of numbers stand above line 14 ('stop,of,arm')",),
+        refused=("12 rows of numbers are above line 14 ('stop,of,arm')",),
     ),
     "rows of one time": Table(
         NEWTONS + 20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", refused=("such as @20",)

@@ -28,7 +28,7 @@ from fden_ros.parameters import Parameters, read_parameter_file
 
 BAG = Path(__file__).parent.parent / "bags" / "golden" / "golden_press"
 NO_KEY = (
-    "no mapping ros__parameters: parameters stand below `/**:`, or the node's name, and "
+    "no mapping ros__parameters: parameters belong below `/**:`, or the node's name, and "
     "`ros__parameters:`; `fden parameters` prints a file"
 )
 
@@ -152,7 +152,7 @@ REFUSED: dict[str, tuple[str | bytes | None, str]] = {
     ),
     "a name twice": (
         "/**:\n  ros__parameters:\n    prior: {alpha: 0.2}\n    prior: {alpha_sd: 0.02}\n",
-        "not valid YAML: prior stands twice in one mapping",
+        "not valid YAML: prior appears twice in one mapping",
     ),
     "no text": (b"\xff\xfe\x00", "not valid YAML: 'utf-8' codec can't decode"),
     "for another node": (

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden batch``: recordings to a table, a row a contact."""
+"""``fden batch``: recordings to a table with one row per contact."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden benchmark``: measure, and hold the figures against their goals."""
+"""``fden benchmark``: measure, and compare the figures with their goals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fden_ros.commands.command import Parser
 from fden_ros.commands.options import JSON, add_options
 
 DESCRIPTION = """\
-Measure how good the package is, and compare the figures with their goals. Each
+Measure accuracy and speed, and compare the figures with their goals. Each
 benchmark prints tables and writes its figures to NAME.json in the output
 folder. Benchmarks are not installed: this needs a checkout.
 """

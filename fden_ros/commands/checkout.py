@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What stands next to the package in a checkout, and is not installed: benchmarks, simulation."""
+"""Modules of a checkout that are not installed: benchmarks and simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fden_ros.errors import InputError
 
 
 def checkout() -> Path | None:
-    """Return the folder with the package and what stands next to it, if there is one."""
+    """Return the root of the checkout, if there is one."""
     for root in (Path(fden_ros.__file__).resolve().parents[1], Path.cwd()):
         if (root / "benchmark" / "harness.py").is_file() and (root / "fden_ros").is_dir():
             return root

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What several commands of ``fden`` take and do: kinds of argument, JSON, whole files."""
+"""What several commands of ``fden`` share: types of arguments, JSON, complete files."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def print_json(value: Any) -> int:
 
 
 def write(path: Path, save: Callable[[Path], object]) -> None:
-    """Let `save` write a file, which is complete or not there.
+    """Let `save` write a file, which appears only when it is complete.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``fden configure``: a parameter file from recordings of a probe nobody has configured."""
+"""``fden configure``: a parameter file from recordings of a probe that is not configured."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def result_object(found: Survey, readings: Sequence[Reading]) -> dict[str, Any]:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse arguments that do not go together."""
+    """Refuse arguments that contradict each other."""
     unknown = [str(path) for path in args.rigid if path not in args.recordings]
     for is_wrong, words in (
         (unknown, f"--rigid {' '.join(unknown)} is not one of the recordings"),
@@ -197,7 +197,7 @@ def _show(found: Survey, readings: Sequence[Reading], *, briefly: bool) -> None:
 
 
 def _brief_lines(stated: Sequence[Finding]) -> list[str]:
-    """Return what is stated, a line a quantity."""
+    """Return the stated values, one line per quantity."""
     from fden_ros.configure.writer import value_text
 
     said: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the options of several commands mean: parameters, and what of a recording is what."""
+"""Options of several commands: the parameters, and the sources within a recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def parameters_of(args: argparse.Namespace) -> Parameters:
 
     files = list(args.config or [])
     if getattr(args, "from_touch", None):
-        # What the files say outdoes it.
+        # The files override it.
         files.insert(0, shipped("config/bench.yaml"))
     parameters = read_parameter_files(files, args.node)
     for path in files:

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         "force_controller": f"scheduled:={str(not args.fixed).lower()}",
     }
     with contextlib.ExitStack() as started:
-        # It ends in reverse, so that nobody commands a rig that is gone.
+        # They end in reverse order, so that no node commands a rig that is gone.
         nodes = {n: started.enter_context(_running(n, path, s)) for n, s in settings.items()}
 
         def look(_: object) -> None:
@@ -69,7 +69,7 @@ def _running(name: str, parameters: Path, setting: str) -> Iterator[subprocess.P
         *("--params-file", str(parameters), "-r", f"__ns:={NAMESPACE}"),
         *("--log-level", "error", "-p", setting),
     ]
-    # In a session of its own: Ctrl-C comes to it once, from here.
+    # In its own session, so that Ctrl-C reaches it only once, from here.
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,

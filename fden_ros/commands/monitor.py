@@ -31,7 +31,7 @@ examples:
 """
 
 _PERIOD = 0.2
-#: Where it is no terminal a line is printed so often [s].
+#: Without a terminal one line is printed per this time [s].
 _LINE_PERIOD = 1.0
 
 
@@ -48,7 +48,7 @@ def watch(
     duration: float | None = None,
     look: Callable[[Monitor], object] = lambda monitor: None,
 ) -> None:
-    """Show an identifier until `duration` [s] is over; call `look` with what is heard, each time.
+    """Show an identifier until `duration` [s] is over; call `look` with each view.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def watch(
 
 @contextlib.contextmanager
 def _shown() -> Iterator[Callable[[MonitorView], object]]:
-    """Show views in a terminal; elsewhere print a line now and then, and the last in full."""
+    """Show views in a terminal; otherwise print a line from time to time, and the last in full."""
     from rich.console import Console
     from rich.live import Live
 
@@ -98,7 +98,7 @@ def _shown() -> Iterator[Callable[[MonitorView], object]]:
 
 
 def ending_signals() -> list[signal.Signals]:
-    """Return the signals that end a command: also a terminal's end, unless that is ignored."""
+    """Return the signals that end a command, with SIGHUP unless that is ignored."""
     found = [signal.SIGINT, signal.SIGTERM]
     # As with nohup.
     is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
@@ -107,7 +107,7 @@ def ending_signals() -> list[signal.Signals]:
 
 @contextlib.contextmanager
 def _signals_noted() -> Iterator[list[int]]:
-    """Note what ends it: raised in the middle of rclpy it comes out as something else."""
+    """Record the signal: an exception within rclpy would come out as another one."""
     noted: list[int] = []
     before = {
         number: signal.signal(number, lambda caught, _: noted.append(caught))

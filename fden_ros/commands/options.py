@@ -33,7 +33,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Group:
-    """Options under a title; without one they exclude each other."""
+    """Options under a title; without a title they exclude each other."""
 
     title: str
     options: Sequence[Option | Group]

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         return _shown(result, args.json)
     from fden_ros.offline.results import replay_to_bag
 
-    # As Ctrl-C does: what was written so far is removed on the way out.
+    # As with Ctrl-C, the unfinished output is removed.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     result = replay_to_bag(
         args.bag,
@@ -100,7 +100,7 @@ def _shown(result: Replay, as_json: bool) -> int:
         # What is wrong with the input comes first.
         why += f"; {result.warnings[0]}"
     elif lacking:
-        # What a place lacks is least after its last contact.
+        # The last contact of a place lacks least.
         why += f"; {lacking[-1]}"
     print(f"fden: nothing was identified: {why}", file=sys.stderr)
     return _NOTHING_IDENTIFIED

@@ -26,7 +26,7 @@ from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
 
-#: The numbers of the law may be wrong by more than their deviations; a measured slope stands.
+#: The numbers of the law may be wrong by more than their deviations; a measured slope holds.
 LAW_FLAGS = (
     Flag.MODEL_MISMATCH
     | Flag.AT_PRIOR_LIMIT
@@ -142,7 +142,7 @@ class LiveTissue:
         """Add an estimate that arrived at `now`."""
         now = _time(now)
         with self._lock:
-            # Where counts or stamps begin anew, the identifier has.
+            # Counts or stamps that begin again show a restart of the identifier.
             order = [(s.contact_id, s.site_id, s.stamp_ns) for s in (self._state or state, state)]
             if any(new < old for old, new in zip(*order, strict=True)):
                 self.restarts += 1

@@ -107,7 +107,7 @@ class ContactSession:
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd about the contacts, in words, with counts."""
+        """Problems of the contacts, in words, with counts."""
         strokes, detector = self._strokes, self._detector
         inertia = (
             f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "

@@ -109,7 +109,7 @@ class Place(Stretch):
 
 
 class ContinuousSession:
-    """From pairs to states, moduli and one summary a place."""
+    """From pairs to states, moduli and one summary per place."""
 
     #: No touch is detected.
     in_contact = never_lifts = False
@@ -168,7 +168,7 @@ class ContinuousSession:
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd, in words, with counts."""
+        """Problems, in words, with counts."""
         is_silent = self._elapsed > _SILENT_TIME and not self._has_found
         counts = {
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "

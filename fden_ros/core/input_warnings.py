@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is odd about the input, in words."""
+"""Problems of the input, in words."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def input_warnings(
     rejected: Mapping[str, int],
     clock_jumps: int,
 ) -> dict[str, int]:
-    """Return what was odd about the samples, in words, with counts.
+    """Return the problems of the samples in words, with counts.
 
     `air_events`: how often the force fell below its value in the air, how often it rose without a
     contact, and whether there was air at all. `rejected`: counts of ``"<stream>.<reason>"``.

@@ -183,7 +183,7 @@ class _Grid:
     def _respond(self, block: _Block) -> Array:
         """Return the mean responses over a block.
 
-        The past of a node is one number a rate, as the kernel is a sum of exponentials
+        The past of a node is one number per rate, because the kernel is a sum of exponentials
         (:mod:`fden_ros.core.law.relaxation`).
         """
         passed, decay, gain = block.memory

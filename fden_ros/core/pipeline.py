@@ -251,7 +251,7 @@ class Pipeline:
 
     @property
     def warnings(self) -> dict[str, int]:
-        """What was odd about the input, in words, with counts."""
+        """Problems of the input, in words, with counts."""
         odd = input_warnings(
             self.config.synchronize,
             self._synchronizer,

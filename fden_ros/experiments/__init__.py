@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The paper's experiments on anyone's tables; `kinds.fit_file` reads one, as ``fden fit`` does."""
+"""The paper's experiments, from tables; `kinds.fit_file` reads one, as ``fden fit`` does."""

@@ -121,7 +121,7 @@ class _Report:
             **{f"lost.{k}": n for k, n in sorted((backlog.lost + backlog.dropped).items())},
             "last refusal": refusal,
             "last contact": session.lacks,
-            # Each alone: a problem may hold the mark that stands between them in the message.
+            # One by one: a problem may contain the separator of the message.
             **{f"problem {n}": one for n, one in numbered},
         }
         return diagnostic_status(name, problems, pipeline, news.pairs, values, errors=errors)

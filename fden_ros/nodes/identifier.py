@@ -122,7 +122,7 @@ class Identifier(LifecycleNode):
         return self._transition("configure", self._configure, undo=self._release)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start anew and listen."""
+        """Start afresh and listen."""
         activated: TransitionCallbackReturn = super().on_activate(state)
         if activated != TransitionCallbackReturn.SUCCESS:
             return activated

@@ -23,17 +23,17 @@ _REASONS = (Flag.TOUCH_NOT_OBSERVED, Flag.RIG_PRIOR_CONFLICT)
 
 
 def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return the lack of a contact that has not converged, its cause and remedy, or nothing."""
+    """Return what a contact that has not converged lacks, with cause and remedy, or nothing."""
     return str(_lack(summary, config) or "")
 
 
 def next_step(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what to do to learn more of a place; empty where all is known."""
+    """Return what to do to learn more about a place; empty if everything is known."""
     return next((one.remedy for one in findings(summary, config) if one.remedy), "")
 
 
 def against_the_law(summary: ContactSummary) -> str:
-    """Return in one line the doubt about G and Gn of a contact that lacks nothing else."""
+    """Return in one line why G and Gn of a contact that lacks nothing else are in doubt."""
     found = [*_at_limit(summary.estimate), *_by_flag(summary)]
     return found[0].sentence if found else "the data do not determine them"
 
@@ -93,7 +93,7 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
 
 
 def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -> Advice:
-    """Return the lack of a press that hardly stiffened."""
+    """Return what a press that hardly stiffened lacks."""
     geometry = config.geometry
     wanted = _BEYOND_BOUNDARY * max(estimate.boundary_strain, summary.max_strain)
     compression = geometry.compression(wanted)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""An archive of recordings, identified by several processes: a table with a row a contact.
+"""An archive of recordings, identified by several processes: a table with one row per contact.
 
 The rows of a bag are in the table as soon as it is done, so an interrupted run continues: a bag
 with rows in the table is not identified again.
@@ -148,7 +148,7 @@ def identify(bag: str, work: Work) -> list[Row]:
     except InputError as error:
         return [row | {"error": str(error)}]
     except Exception as error:
-        # One bag must not end a run of thousands, whatever its error.
+        # No error of one bag may end a run of thousands.
         return [row | {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"}]
 
 

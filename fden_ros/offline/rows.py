@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contacts as flat rows, for tables: one row a contact, SI units."""
+"""Contacts as flat rows, for tables: one row per contact, SI units."""
 
 from __future__ import annotations
 

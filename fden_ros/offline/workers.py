@@ -41,7 +41,7 @@ def local(count: int) -> Iterator[Executor]:
 
 
 def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that started this one."""
+    """Ignore Ctrl-C: the process that started this one handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

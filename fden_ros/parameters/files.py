@@ -23,10 +23,10 @@ from fden_ros.parameters.table import Parameters, identifier_values
 
 #: Line of a parameter file that names a live node's topics, as remappings.
 LIVE_LINE = "# Live: "
-#: Begins what a parameter file says of itself that stands against its numbers; lines that go on
-#: begin with a blank more.
+#: Begins a line in which a parameter file warns about its own numbers; its continuation lines
+#: begin with one blank more.
 ATTENTION_LINE = "# ATTENTION: "
-#: Such a line of a direction that nothing has shown begins with this.
+#: Begins such a warning about a direction that the recording does not show.
 OPEN_AXIS = "the axis of the "
 #: The node whose sections count where no other is named.
 NODE = "/identifier"
@@ -40,7 +40,7 @@ def live_topics(path: str | Path) -> dict[str, str]:
         own = [line.removeprefix(LIVE_LINE) for line in lines if line.startswith(LIVE_LINE)]
         words = shlex.split(" ".join(own))
     except (OSError, ValueError):
-        # Whoever reads its parameters says what is wrong with it.
+        # The reader of its parameters reports what is wrong with it.
         return {}
     return dict(word.split(":=", 1) for word in words if ":=" in word)
 
@@ -121,7 +121,7 @@ def read_sections(path: str | Path) -> list[Section]:
 def _sections(tree: object, node: str) -> Iterator[Section]:
     if not isinstance(tree, Mapping) or not tree:
         raise InputError(
-            f"no mapping {_KEY}: parameters stand below `/**:`, or the node's name, and "
+            f"no mapping {_KEY}: parameters belong below `/**:`, or the node's name, and "
             f"`{_KEY}:`; `fden parameters` prints a file"
         )
     for key, below in tree.items():
@@ -167,11 +167,11 @@ class _Loader(yaml.SafeLoader):
     """Plain YAML with the numbers of ROS 2's own reader: 1e-4 is one."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
-        """Refuse a name that stands twice, of which one would be lost."""
+        """Refuse a name that appears twice, because one value would be lost."""
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         for name in names:
             if names.count(name) > 1:
-                raise yaml.YAMLError(f"{name} stands twice in one mapping")
+                raise yaml.YAMLError(f"{name} appears twice in one mapping")
         return super().construct_mapping(node, deep)
 
 

@@ -89,7 +89,7 @@ def frames_config(parameters: Parameters) -> FramesConfig | None:
 
 
 def tool_weight(parameters: Parameters) -> ToolWeight | None:
-    """Return the tool whose weight is to be taken off; None where there is none."""
+    """Return the tool whose weight is to be subtracted; None without one."""
     if not parameters.tool.mass:
         return None
     return replace(

@@ -198,7 +198,7 @@ def _plain(value: Any) -> Value:
 
 
 def _described(settings: Any) -> tuple[Parameter, ...]:
-    """Return the parameters with each group together, where its first one stands."""
+    """Return the parameters, each group together at the place of its first one."""
     groups: dict[str, list[Parameter]] = {}
     for own, value in _leaves(settings):
         group = groups.setdefault(own.name.partition(".")[0], [])

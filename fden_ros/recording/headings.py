@@ -82,7 +82,7 @@ _MEGA = 1e6
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading with the unit that stands in it or below it."""
+    """A heading with the unit in it or below it."""
 
     text: str
     unit: str = ""  #: of a row of units; "" where there is none

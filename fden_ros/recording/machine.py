@@ -50,7 +50,7 @@ def machine_values(
     """
     sizes = sizes_of(table.layout.preamble)
     values = _unstated(sizes, parameters)
-    lines = [f"{_shown(values)}, by what stands before the headings"] if values else []
+    lines = [f"{_shown(values)}, by the preamble"] if values else []
     way = table.displacement[~np.isnan(table.displacement)]
     core = parameters.core
     is_default = core.contact_point is None and core.contact.measure_bias

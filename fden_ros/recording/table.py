@@ -299,8 +299,8 @@ class TableReader:
             kept = np.count_nonzero(~np.isnan(self.force))
             rate = 1e9 * kept / float(np.ptp(self.stamps))
             yield (
-                f"each force of {self.path.name} stands in {every / kept:.2g} rows: the first of "
-                f"them is used, at {rate:.3g} Hz"
+                f"each force of {self.path.name} is repeated in {every / kept:.2g} rows: the "
+                f"first of them is used, at {rate:.3g} Hz"
             )
 
     def _index(self, name: str) -> int:

@@ -374,7 +374,7 @@ def _is_of_units(row: Sequence[str]) -> bool:
 
 
 def _headings_of(line: str, delimiter: str, width: int) -> list[str]:
-    """Return the headings of a line; as many as there are columns, where blanks stand between."""
+    """Return the headings of a line, one per column if blanks separate them."""
     cells = _split(line, delimiter)
     if delimiter != " " or len(cells) == width:
         return cells
@@ -389,7 +389,7 @@ def _check_above(
     count = sum(_has_values(row) and len(row) == width for row in above)
     if count > most:
         raise InputError(
-            f"{path}: {count} rows of numbers stand above line {line[0]} "
+            f"{path}: {count} rows of numbers are above line {line[0]} "
             f"({line[1].strip()[:_SHOWN]!r}), apart from the others: remove what is between them"
         )
 

@@ -55,7 +55,7 @@ def table_of(
 def contact_table(
     summaries: Iterable[ContactSummary], alone: Collection[int] = frozenset()
 ) -> Table:
-    """Return one row a contact, of at most 80 columns.
+    """Return one row per contact, of at most 80 columns.
 
     `alone`: numbers of the contacts with known N/m or slope, but not G.
     """

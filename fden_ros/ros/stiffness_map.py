@@ -74,7 +74,7 @@ class StiffnessMap:
 
 
 def cloud_of_points(points: np.ndarray, header: Header) -> PointCloud2:
-    """Return a structured array as a cloud, a field a name."""
+    """Return a structured array as a cloud with one field per name."""
     kind = points.dtype
     return PointCloud2(
         header=header,

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""From force and displacement to stress and strain: one class a geometry.
+"""From force and displacement to stress and strain: one class per geometry.
 
 Every geometry works on the *compression* u = d / L: the displacement d into the tissue over a
 characteristic length L, less the strain origin o that the estimator may refine. Strain is x(u -

@@ -96,7 +96,7 @@ class ComplexModulusMeter:
         self.samples = 0  #: of the window
 
     def add(self, time: float, strain: float, stress: float) -> list[ComplexModulus]:
-        """Add a sample; return one result a frequency where it ends a window, else nothing.
+        """Add a sample; return one result per frequency if it ends a window, or none.
 
         `time` [s] increases; `strain` [1], `stress` [Pa].
         """
