@@ -42,7 +42,7 @@ DATA_VARIABLE = "FDEN_DATA"
 #: Of a pool.
 PROCESSES = os.cpu_count() or 1
 #: Columns of a table that goes into a file.
-_WIDTH = 200
+_WIDTH = 400
 
 
 class Goal(NamedTuple):

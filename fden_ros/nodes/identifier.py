@@ -293,7 +293,7 @@ def _descriptor(parameter: Parameter, *more: str) -> ParameterDescriptor:
 def main(arguments: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; report the open contact before leaving."""
     # The threads of the middleware, which begin later, inherit it.
-    problem = _ask_for_priority() if arguments is None else ""
+    problem = _raise_priority() if arguments is None else ""
     return run_node(
         "identifier",
         Identifier,
@@ -304,7 +304,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
 
 
-def _ask_for_priority() -> str:
+def _raise_priority() -> str:
     """Raise the process's priority; return why that is not possible, or nothing."""
     try:
         os.nice(_NICE)
