@@ -354,13 +354,6 @@ class PlacePosterior:
                 self._take(grid)
                 self.lay()
 
-    def lay_again(self) -> None:
-        """Lay a grid of the presses that have ended."""
-        self._press = self._ended.pop()
-        self.lay()
-        self._ended.append(self._press)
-        self._press = None
-
     def release(self) -> Iterator[None]:
         """End the press: rounds until the grid is settled, one at a time."""
         if self._record is None:
