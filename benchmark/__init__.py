@@ -14,12 +14,12 @@ from __future__ import annotations
 
 #: Name of every benchmark, which is that of its module, and its measurement in a line.
 BENCHMARKS: dict[str, str] = {
-    "exact": "the law's own tissue: false alarms, undetected errors, honesty, the bound",
-    "invariance": "what should not move an estimate: noise of 1 nm, shifted stamps, the period",
+    "exact": "tissue that obeys the law: false alarms, undetected errors, coverage, the bound",
+    "invariance": "changes that must not move an estimate: noise of 1 nm, shifted stamps, period",
     "real": "prediction of measured holds of beef and silicone",
-    "public": "N/m of recordings of others, next to the estimators of others",
-    "laws": "tissue of other laws: does the next force lie in the interval of the prediction",
-    "robots": "what a real rig adds: breathing, compliance, hum; errors and contacts missed",
+    "public": "N/m from published recordings, compared with other estimators",
+    "laws": "tissue of other laws: how often the next force lies in the predicted interval",
+    "robots": "disturbances of a real rig (breathing, compliance, hum): errors, missed contacts",
     "changes": "inclusions and slides under the probe: how soon they are reported; false ones",
     "node": "the node next to a bare relay on real DDS: losses, CPU, latency, memory",
 }

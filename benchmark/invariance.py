@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What should not move an estimate: how far it does, in stated deviations.
+"""Changes that must not move an estimate: how far they do, in stated deviations.
 
 20 presses on simulated rigs, each with something disturbed, go through the pipeline as they are
 and again with one thing changed. A *move* is the largest

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""N/m of recordings of others, next to the estimators of others.
+r"""N/m from published recordings, compared with other estimators.
 
 docs/accuracy.md says where they come from; :mod:`benchmark.sources` makes the tables. A press
 without a stated stiffness is cut at strains, and its curve's own slope there is the truth.
