@@ -187,6 +187,21 @@ def test_a_place_begins_anew_after_a_gap_and_is_flagged_while_tissue_remembers_i
     assert is_flagged or not is_wrong(later, data.sites[0])
 
 
+def test_a_place_with_a_gap_is_flagged_too_after_a_press_elsewhere() -> None:
+    places = (0.0, 0.0), (0.02, 0.0), (0.0, 0.0)
+    scenario = ramp_scenario(rate_hz=RATE, seed=3)
+    data = shift_of(simulate(replace(
+        scenario,
+        sites=tuple(Site(TISSUE, (FIRM,), place) for place in places),
+        displacement=DisplacementSensor(rate_hz=RATE, message="pose", noise_m=1e-6),
+    )))  # fmt: skip
+    begin = at(data, 0, 0.4)
+    items = [*between(data, 0, begin), *between(data, begin + SECOND // 5, math.inf)]
+    *_, elsewhere, again = outcome(data, items, synchronize__max_gap=0.19).summaries
+    assert ids([elsewhere, again]) == [(2, 2), (3, 3)]
+    assert not elsewhere.flags and again.flags == Flag.GAP and again.converged
+
+
 # Faint contacts
 
 
