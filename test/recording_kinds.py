@@ -242,7 +242,7 @@ TABLES: dict[str, Table] = {
         NEWTONS + 20 * "0,1,2\n" + 20 * "1,1,2\n" + 9 * "2,1,2\n", refused=("such as @20",)
     ),
     "a thousand or a decimal": Table(
-        SEMICOLONS + "1;980;1.020\n2;1.020;1.100\n", refused=("'1.020' may be a thousand",)
+        SEMICOLONS + "1;980;1.020\n2;1.020;1.100\n", refused=("'1.020' may have a thousands",)
     ),
     "commas between decimal commas": Table(
         "time_s,force_N,depth_mm\n" + GERMAN.replace(";", ","), refused=("write semicolons",)
@@ -461,7 +461,7 @@ BAGS: dict[str, Bag] = {
         lambda at, m: packed_otherwise(ros2(at / "bag", m, BY_MESSAGE)), refused="'brotli'"
     ),
     "a file in zstd": Bag(
-        lambda at, m: alone(ros2(at / "bag", m, BY_FILE)), refused="packed by zstd: unpack it"
+        lambda at, m: alone(ros2(at / "bag", m, BY_FILE)), refused="compressed with zstd"
     ),
     "nothing there": Bag(lambda at, m: at / "nowhere", refused="does not exist"),
     "a folder without a bag": Bag(

@@ -123,7 +123,7 @@ def test_the_results_are_a_bag_of_all_that_the_node_publishes(
     ]
     assert min(delays) >= 0 and max(delays) < 0.1e9
     assert "--force" in error_line(capsys, 1, "replay", POSE, *options)
-    words = "fden_msgs are what an identifier makes of a recording: replay that"
+    words = "fden_msgs are outputs of an identifier: replay its recording"
     assert words in error_line(capsys, 1, "replay", out)
 
 

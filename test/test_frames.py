@@ -225,9 +225,9 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     normal = {"surface.normal": [0.0, 0.0, -2.0]}
     found = along_its_axis(stretch=1.0 / math.cos(TILT), **normal)
     assert_alike(found, still)
-    (words,) = [words for words in found.pipeline.warnings if "askew" in words]
+    (words,) = [words for words in found.pipeline.warnings if "tilted" in words]
     assert found.pipeline.warnings[words] == 1
-    assert "up to 20 degrees askew: the motion along the tool counts as 0.940 of it" in words
+    assert "up to 20 degrees: only 0.940 of the motion along the tool is depth" in words
     # The punch of 10 mm radius: 20 mm times the tangent.
     assert "by its edge first, over 7.3 mm" in words
 

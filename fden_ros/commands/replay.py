@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from fden_ros.offline.replay import replay
 
     if args.output is None and args.force:
-        args.parser.error("--force is about OUT: give -o OUT too")
+        args.parser.error("--force replaces OUT: give -o OUT too")
     parameters, selection = parameters_of(args), selection_of(args)
     progress = sys.stderr.isatty()
     if args.output is None:

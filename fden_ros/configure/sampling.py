@@ -239,7 +239,7 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
         return unknown("lift-off", "no contact was seen")
     if never := [session.streams.name for session in sessions if not session.leaves]:
         evidence = (
-            f"in {', '.join(never)} no stretch is in the air for sure: the force does not stay "
+            f"in {', '.join(never)} no stretch is surely in the air: the force does not stay "
             "while the probe travels"
         )
         motion = (

@@ -55,7 +55,7 @@ def replay_problems(survey: Survey) -> list[str]:
         problems.append(f"{OPEN_AXIS}{' and of the '.join(names)} is not known: {why}")
     lift_off = survey.finding("lift-off")
     if lift_off.value == "never":
-        problems.append(f"no touch is seen for sure: {lift_off.motion}")
+        problems.append(f"no touch is certain: {lift_off.motion}")
     if not survey.finding("indenter").claim:
         problems.append(
             "the indenter is the default's, a flat face of 1 cm^2 on 20 mm, so G and Gn are "

@@ -116,7 +116,7 @@ class ContactSession:
         smooth = (
             f"the force's noise in the air is smooth over some {1e3 * detector.filter_time:.2g} "
             "ms, as behind a filter, which delays the force (measure the delay with fden "
-            "configure and state displacement.delay, or lessen the filter)"
+            "configure and state displacement.delay, or weaken the filter)"
         )
         return {
             inertia: detector.inertial,

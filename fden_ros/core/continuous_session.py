@@ -154,7 +154,7 @@ class ContinuousSession:
 
     def zero(self) -> str:
         """Return why there is no force in the air."""
-        return "contact.mode is continuous: the force's zero plays no part"
+        return "contact.mode is continuous: the zero of the force does not matter"
 
     @property
     def contact_count(self) -> int:
@@ -173,10 +173,9 @@ class ContinuousSession:
         counts = {
             "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
             "a period, so no stiffness. contact.mode continuous needs a probe that palpates: "
-            "sliding alone does not part stiffness from the height of the surface": (is_silent),
+            "sliding alone does not separate stiffness from the surface's height": (is_silent),
             self._out_of_step
-            or "the force follows the displacement out of step with any tissue: is "
-            "displacement.delay right?": self._lags,
+            or "no tissue has the phase of this force: is displacement.delay right?": self._lags,
         }
         return {words: int(count) for words, count in counts.items() if count}
 

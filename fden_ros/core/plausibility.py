@@ -56,7 +56,7 @@ _NONLINEAR_DEVIATIONS = 2.0
 #: A contact is judged before its end from this strain on, which a press usually has: below it the
 #: origin matters.
 _LEAST_STRAIN = 0.05
-#: A probe is askew from this angle against the surface's normal [rad]; its cosine is 0.996.
+#: A probe is tilted from this angle against the surface's normal [rad]; its cosine is 0.996.
 _TILTED = math.radians(5.0)
 #: Samples farther apart than this are slow; no force sensor has them closer than this [s].
 _SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
@@ -102,12 +102,12 @@ class Tilt:
     @property
     def words(self) -> str:
         """The tilt and its cost, in one sentence."""
-        cost = f"the motion along the tool counts as {math.cos(self._largest):.3f} of it in depth"
+        cost = f"only {math.cos(self._largest):.3f} of the motion along the tool is depth"
         if isinstance(self._geometry, FlatPunch):
             width = 2.0 * math.sqrt(self._geometry.area / math.pi)
             depth = width * math.tan(min(self._largest, 1.5))
             cost += f", and the flat face touches by its edge first, over {1e3 * depth:.1f} mm"
-        return f"the probe touched up to {math.degrees(self._largest):.0f} degrees askew: {cost}"
+        return f"the probe was tilted by up to {math.degrees(self._largest):.0f} degrees: {cost}"
 
 
 class Plausibility:

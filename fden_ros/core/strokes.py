@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether a probe palpates without lifting clear of the tissue: its strokes are no presses."""
+"""Whether a probe palpates without lifting clear of the tissue: its strokes are not presses."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Strokes:
             return ""
         return (
             f"the probe palpates at {self.frequency:.2g} Hz and never lifts clear of the tissue, "
-            f"so its strokes are no presses: write {REMEDY} into the parameter file for the "
+            f"so its strokes are not presses: write {REMEDY} into the parameter file for the "
             "stiffness in N/m"
         )
 

@@ -305,11 +305,11 @@ def run(
 
 
 def _rows_of(future: Future[list[Row]], bag: str, results: Results) -> list[Row]:
-    kept = f"{results.path} has what was done before; run the same command again"
+    kept = f"{results.path} has the results so far; run the same command again"
     try:
         rows = future.result()
     except BrokenProcessPool:
-        why = f"a process was killed: {kept}, with fewer --workers where memory is short"
+        why = f"a process was killed: {kept}, with fewer --workers if memory is short"
         raise InputError(why) from None
     except CancelledError:
         raise InputError(f"the scheduler is gone: start it; {kept}") from None

@@ -51,7 +51,7 @@ def place(where: str | Path) -> Path:
             fsspec.get_filesystem_class(where.partition("://")[0])
         found: Any = UPath(where)
     except ValueError as error:
-        raise InputError(f"{where} is no URL that can be read: {error}") from None
+        raise InputError(f"{where} is not a URL that can be read: {error}") from None
     return found
 
 

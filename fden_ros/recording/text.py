@@ -42,7 +42,7 @@ _RESULTS = 10
 _NOTHING = frozenset(("", "nan", "na", "n/a", "#n/a", "-", "--", "---", "null", "none"))
 _BLANK = " \t\r\n\v\f\0;,|"
 _NUMBER = re.compile(r"[-+]?(?=[.,]?\d)\d*(?:[.,]\d{3})*(?:[.,]\d*)?(?:[eE][-+]?\d+)?")
-#: 1,234: a decimal or a thousand and more.
+#: 1,234: a decimal number, or one with a thousands separator.
 _EITHER = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
 _THOUSANDS = {mark: re.compile(rf"[-+]?\d{{1,3}}(?:\{mark}\d{{3}})+(?:[.,]\d*)?") for mark in ".,"}
 #: A date or a time of day as ISO 8601 writes them.
@@ -312,8 +312,8 @@ def _decimal(path: Path, sample: Sequence[Sequence[str]], delimiter: str) -> str
         has_whole = any(cell.isdigit() and int(cell) for cell in column)
         if either and (has_whole or (delimiter == "," and "," in either[0])):
             raise InputError(
-                f"{path}: {either[0]!r} may be a thousand and more, or a decimal: write numbers "
-                "with decimal points and without marks of thousands"
+                f"{path}: {either[0]!r} may have a thousands separator or a decimal sign: write "
+                "numbers with decimal points and without thousands separators"
             )
     return "," if commas else "."
 

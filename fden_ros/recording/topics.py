@@ -72,7 +72,7 @@ def find_topic(
     if stream == "displacement" and TRANSFORMS in types:
         hint = "to follow /tf, set frames.base, frames.probe and displacement.message: tf"
     if any(name.startswith(RESULTS) for name in types):
-        hint = f"fden_msgs are what an identifier makes of a recording: replay that, or {hint}"
+        hint = f"fden_msgs are outputs of an identifier: replay its recording, or {hint}"
     listed = _listed(reader.topics)
     raise NoTopicError(f"{reader.path}: no topic can carry the {stream}: {listed}; {hint}")
 

@@ -61,7 +61,7 @@ def monitor_view(view: MonitorView) -> Group:
         parts.append(contact_table(shown, known))
         last = shown[-1].contact_id
         if last in known:
-            words = f"contact {last}: {known[last]} known; G and Gn not"
+            words = f"contact {last}: {known[last]} is known; G and Gn are not known"
             parts.append(Text(f"{words}: {against_the_law(shown[-1])}"))
     return Group(*parts)
 

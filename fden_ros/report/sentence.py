@@ -33,7 +33,7 @@ def lines(session: Session) -> list[tuple[str, str, str]]:
         known = [summary for summary in summaries if summary.is_of_path]
         return [("", _range(known), f" at {len(known)} places on the path")]
     if config.is_continuous:
-        words = ": it takes a probe that palpates as it slides"
+        words = ": the probe must palpate while it slides"
         return [("", "No stiffness is known on the path", words)]
     # The last contact of a place has the best estimate.
     places = list({summary.site_id: summary for summary in summaries}.values())

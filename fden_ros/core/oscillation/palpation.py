@@ -187,7 +187,7 @@ class PalpationMeter:
             phase = math.atan2(value.imag, value.real)
             self.out_of_step = (
                 f"the force leads the displacement by {math.degrees(phase):.0f} degrees at "
-                f"{frequency / (2.0 * math.pi):.2g} Hz, which no relaxation of tissue makes, so "
+                f"{frequency / (2.0 * math.pi):.2g} Hz, more than relaxation explains, so "
                 "stiffness and alpha are not known. One of the two is stamped late "
                 f"(displacement.delay {phase / frequency:.3f} s if all of it is lag)"
             )
