@@ -118,21 +118,22 @@ def law_of(press: Press, uncertainty: Uncertainty) -> Law:
 
 @functools.lru_cache(maxsize=4)
 def laid_on(
-    seed: int, left_out: int = 0, *, is_elsewhere: bool = False
+    seed: int, left_out: int = 0, *, shift: float | None = None
 ) -> tuple[Grid, list[Block]]:
     """Return a settled grid of a press on an arm, and the blocks that were left out at its end.
 
-    `is_elsewhere`: another spot of the tissue was pressed 20 s before.
+    `shift`: another spot, whose contact point differs by this, was pressed 20 s before [1].
     """
     blocks = blocks_of(pressed(seed))
     count = len(blocks) - left_out
     law = law_of(gathered(blocks[:count], 0.0, 40), Uncertainty())
-    if is_elsewhere:
+    if shift is not None:
         (press,) = law.place.presses
         early = replace(
             press, times=press.times - 20.0, middles=press.middles - 20.0, start=press.start - 20.0
         )
-        place = replace(law.place, presses=(early, replace(press, spot=1)), older_end=early.start)
+        later = replace(press, spot=1, indentations=press.indentations + shift)
+        place = replace(law.place, presses=(early, later), older_end=early.start)
         rig = law.rig._replace(spots={1: spot_of(CONTACT_POINT_SD)})
         law = replace(law, place=place, rig=rig)
     return list(rounds(law, Noise(NOISE)))[-1], blocks[count:]
@@ -213,10 +214,10 @@ def test_columns_are_the_derivatives_of_the_response() -> None:
         assert np.max(np.abs(by - own)) < 5e-3 * np.max(np.abs(own)) + 1e-6 * g
 
 
-@pytest.mark.parametrize("is_elsewhere", [False, True], ids=["first", "another spot"])
-def test_block_by_block_is_the_batch_sum_on_the_same_nodes(is_elsewhere: bool) -> None:
+@pytest.mark.parametrize("shift", [None, 0.0], ids=["first", "another spot"])
+def test_block_by_block_is_the_batch_sum_on_the_same_nodes(shift: float | None) -> None:
     """Factor and sums of 25 appended cells are those of the whole record to 1e-9."""
-    grid, later = laid_on(2, 25, is_elsewhere=is_elsewhere)
+    grid, later = laid_on(2, 25, shift=shift)
     state = Filter(grid)
     points, tails = [], []
     for block in later:
@@ -242,6 +243,11 @@ def test_block_by_block_is_the_batch_sum_on_the_same_nodes(is_elsewhere: bool) -
     a, b = state.sums
     np.testing.assert_allclose(a, (rows**2).sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose(b, (rows * own).sum(axis=0), rtol=1e-9)
+
+
+def test_another_spot_has_a_contact_point_of_its_own() -> None:
+    mean, covariance = Posterior.of(Filter(laid_on(1, shift=0.01)[0])).tissue
+    assert abs(mean[3] - 0.01) < 3.0 * math.sqrt(covariance[3, 3]) < 0.01
 
 
 def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_motion() -> None:

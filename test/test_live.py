@@ -418,7 +418,7 @@ def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(pres
     later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS][:3]
     for lag, deadline in ((0.3, 0.1), (0.3, 1.0)):
         state = late(replace(later[0], lag=lag), deadline)
-        assert (state.status is Status.LATE) == (lag > deadline)
+        assert (state.status is Status.LATE) == (lag > deadline) == (not state.estimate.known)
         live.add(replace(state, stamp_ns=later[0].stamp_ns), later[0].stamp_ns / NANOSECONDS)
         assert live.refusal(later[0].stamp_ns / NANOSECONDS).cause is Cause.LATE
         assert live.reading(later[0].stamp_ns / NANOSECONDS) is None
