@@ -77,45 +77,42 @@ class SimulatedRig:
 
 
 class _Plan:
-    """The probe's planned motion: depth [m], place across [m], turn [rad] about axes, by time."""
+    """The probe's planned motion.
 
-    def __init__(self) -> None:
-        self.depth: list[Array] = []
-        self.across: list[Array] = []
-        self.turn: list[Array] = []
-        self.push: list[Array] = []
-        self.kind: list[Array] = []
-        self.at_depth, self.at_across, self.at_turn = 0.0, np.zeros(2), np.zeros(3)
+    A row a step: depth [m], place across [m] (2), turn [rad] about axes (3), the force on
+    something rigid [N], and what is pressed.
+    """
+
+    def __init__(self, depth: float) -> None:
+        self.rows: list[Array] = []
+        self.at = np.array([depth, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def move(
         self,
         duration: float,
-        depth: float | None = None,
-        across: Array | None = None,
-        turn: Array | None = None,
         kind: int = 0,
         push: tuple[float, float] = (0.0, 0.0),
         wave: tuple[float, float] | None = None,
+        **goals: Any,
     ) -> None:
-        """Go on for `duration` s to what is given; `push` is from and to on something rigid."""
+        """Go on for `duration` s to the `depth`, the place `across` and the `turn` that are given.
+
+        `push` is from and to on something rigid, `wave` an amplitude and a frequency.
+        """
         n = max(round(duration / _STEP), 1)
         share = np.arange(1, n + 1) / n
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        to_depth = self.at_depth if depth is None else depth
-        line = self.at_depth + (to_depth - self.at_depth) * smooth
+        before, self.at = self.at, self.at.copy()
+        for name, goal in goals.items():
+            self.at[{"depth": 0, "across": slice(1, 3), "turn": slice(3, 6)}[name]] = goal
+        line = before + np.outer(smooth, self.at - before)
         if wave is not None:
             amplitude, frequency = wave
             t = share * n * _STEP
             fade = np.minimum(1.0, 2.0 * frequency * np.minimum(t, t[-1] - t))
-            line = line + amplitude * np.sin(2.0 * np.pi * frequency * t) * fade
-        self.depth.append(line)
-        goal = self.at_across if across is None else across
-        self.across.append(self.at_across + np.outer(smooth, goal - self.at_across))
-        facing = self.at_turn if turn is None else turn
-        self.turn.append(self.at_turn + np.outer(smooth, facing - self.at_turn))
-        self.push.append(push[0] + (push[1] - push[0]) * smooth)
-        self.kind.append(np.full(n, kind))
-        self.at_depth, self.at_across, self.at_turn = to_depth, goal, facing
+            line[:, 0] += amplitude * np.sin(2.0 * np.pi * frequency * t) * fade
+        pushed = push[0] + (push[1] - push[0]) * smooth
+        self.rows.append(np.column_stack([line, pushed, np.full(n, kind)]))
 
 
 _AIR, _TISSUE, _RIGID = 0, 1, 2
@@ -163,17 +160,15 @@ def simulate_rig(
             drift=np.resize(truth.drift, 3),
         )
     plan, truth = _draw_motion(truth, draw, presses)
-    depth = np.concatenate(plan.depth)
-    kind = np.concatenate(plan.kind)
-    push = np.concatenate(plan.push)
+    rows = np.concatenate(plan.rows)
+    depth, push, kind = rows[:, [0, 6, 7]].T
     times: Array = np.asarray(_START + _STEP * np.arange(1, depth.size + 1), dtype=np.float64)
     force = _tissue_force(truth, depth, kind == _TISSUE, draw)
     force[kind == _RIGID] = push[kind == _RIGID]
     depth = depth + truth.compliance * np.where(kind == _RIGID, push, 0.0)
     # Lifting slowly to a shallower depth may leave the tissue for a moment, too.
     truth = replace(truth, leaves=truth.leaves or bool(np.mean(force == 0.0) > 0.1))
-    across, turn = np.concatenate(plan.across), np.concatenate(plan.turn)
-    motion = _Motion(times, depth, across, turn, force)
+    motion = _Motion(times, depth, rows[:, 1:3], rows[:, 3:6], force)
     return SimulatedRig(_measure(truth, mount, motion, draw), truth)
 
 
@@ -250,13 +245,12 @@ _HEIGHT = 3e-3
 
 
 def _draw_motion(truth: RigTruth, draw: Generator, presses: int) -> tuple[_Plan, RigTruth]:
-    plan = _Plan()
     leaves, deepest = truth.leaves, _DEEPEST * truth.thickness
     rigid = truth.rigid and leaves
     tissue = truth.tissue or not rigid
     turns = truth.turns and leaves
     kind = _AIR if leaves else _TISSUE
-    plan.at_depth = -_HEIGHT if leaves else 0.3 * deepest
+    plan = _Plan(-_HEIGHT if leaves else 0.3 * deepest)
     plan.move(draw.uniform(2.0, 4.0), kind=kind)
     if turns:
         _turn(plan, draw)
