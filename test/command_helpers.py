@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from sensor_msgs.msg import PointField
 
 from fden_ros.cli import main
 
@@ -43,3 +45,19 @@ def with_values(config: Path, values: Mapping[str, object], name: str = "probe.y
     other = config.with_name(name)
     other.write_text(yaml.safe_dump(content), encoding="utf-8")
     return other
+
+
+def points(cloud: Any) -> dict[str, np.ndarray]:
+    """Return the columns of a cloud of points."""
+    formats = {PointField.FLOAT32: "<f4", PointField.FLOAT64: "<f8"}
+    kind = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [formats[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+    )
+    rows = np.frombuffer(bytes(cloud.data), kind)
+    assert rows.size == cloud.width
+    return {name: rows[name] for name in rows.dtype.names or ()}

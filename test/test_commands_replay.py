@@ -39,9 +39,7 @@ def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | 
     return lines[0]
 
 
-def test_damaged_messages_are_counted_and_the_others_used(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_damaged_messages_are_counted_and_the_others_used(capsys, tmp_path):
     source = BagReader(PRESS)
     with BagWriter(tmp_path / "bag") as bag:
         for topic in source.topics:
@@ -66,9 +64,7 @@ def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
     return folder
 
 
-def test_several_sensible_topics_are_listed_in_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_several_sensible_topics_are_listed_in_one_line(capsys, tmp_path):
     bag = write_topics(
         tmp_path / "bag",
         ("/left/wrench", "geometry_msgs/WrenchStamped"),
@@ -81,9 +77,7 @@ def test_several_sensible_topics_are_listed_in_one_line(
     assert "--force-field" in line
 
 
-def test_the_results_are_a_bag_of_all_that_the_node_publishes(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_results_are_a_bag_of_all_that_the_node_publishes(capsys, tmp_path):
     out = tmp_path / "results"
     options = ("--config", POSE / "identifier.yaml", "-o", out)
     result = answer(capsys, "replay", POSE, *options)
@@ -134,7 +128,7 @@ FIELDS = Selection(
 )
 
 
-def test_fields_give_what_the_topics_give() -> None:
+def test_fields_give_what_the_topics_give():
     parameters = read_parameter_file(POSE / PARAMETER_FILE)
     topics, fields = replay(POSE, parameters), replay(POSE, parameters, FIELDS)
     assert topics.summaries
@@ -188,8 +182,8 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_why(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
-) -> None:
+    capsys, tmp_path, config
+):
     table = written(tmp_path / "spring.csv", pressed())
     # G of a spring is known to a fifth.
     config.write_text(CONFIG + "    converged: {log_g_sd: 0.1}\n")
@@ -207,8 +201,8 @@ def test_linear_tissue_is_a_result_in_newtons_per_metre_with_one_line_that_says_
 
 
 def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffness(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, config: Path
-) -> None:
+    capsys, tmp_path, config
+):
     table = written(tmp_path / "strokes.csv", palpated(1e-3))
     assert fden("replay", table, "--config", config) == 3
     printed = capsys.readouterr()
@@ -221,9 +215,7 @@ def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffne
 
 
 @pytest.mark.parametrize(("lowest", "is_told"), [(1e-3, True), (-1e-3, False)])
-def test_strokes_are_told_from_presses_once_and_while_they_come(
-    lowest: float, is_told: bool
-) -> None:
+def test_strokes_are_told_from_presses_once_and_while_they_come(lowest, is_told):
     pipeline, _ = begun(GEOMETRY | {"estimator.kind": "ekf"})
     problems, said = PipelineProblems(pipeline), []
     for number, _ in enumerate(fed(pipeline, *palpated(lowest))):

@@ -127,6 +127,12 @@ def test_what_was_learned_is_held_in_the_air_after_a_contact() -> None:
     assert all(state.estimate is None for state in before)
 
 
+def test_the_phases_of_a_press_follow_each_other() -> None:
+    own = [state for state in undisturbed().states if state.contact_id == 1]
+    phases = [phase for phase, _ in itertools.groupby(state.phase for state in own)]
+    assert phases == [Phase.LOADING, Phase.HOLDING, Phase.UNLOADING, Phase.APPROACH]
+
+
 # Gaps in contact
 
 

@@ -11,6 +11,7 @@ import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -72,13 +73,9 @@ def another_publisher(kind: type, qos: QoSProfile) -> Iterator[None]:
 
 
 def floats_of(message: Any) -> list[float]:
-    numbers: list[float] = []
-    for name, kind in message.get_fields_and_field_types().items():
-        if kind == "double":
-            numbers.append(getattr(message, name))
-        elif kind.startswith(("double[", "sequence<double")):
-            numbers += list(getattr(message, name))
-    return numbers
+    kinds = message.get_fields_and_field_types().items()
+    doubles = [getattr(message, name) for name, kind in kinds if "double" in kind]
+    return np.concatenate([np.ravel(one) for one in doubles]).tolist()
 
 
 @row("sigterm_in_contact")

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_helpers import points
 from fden_msgs.msg import PalpationSummary, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from live_helpers import (
@@ -84,21 +85,6 @@ def on_map(site: int, stiffness: float = 500.0) -> ContactSummary:
         position=(0.01 * site, 0.02, 0.03),
         position_frame="base",
     )
-
-
-def points(cloud: PointCloud2) -> dict[str, np.ndarray]:
-    formats = {PointField.FLOAT32: "<f4", PointField.FLOAT64: "<f8"}
-    kind = np.dtype(
-        {
-            "names": [field.name for field in cloud.fields],
-            "formats": [formats[field.datatype] for field in cloud.fields],
-            "offsets": [field.offset for field in cloud.fields],
-            "itemsize": cloud.point_step,
-        }
-    )
-    rows = np.frombuffer(bytes(cloud.data), kind)
-    assert rows.size == cloud.width
-    return {name: rows[name] for name in rows.dtype.names or ()}
 
 
 def test_a_site_is_one_point_of_its_newest_contact():

@@ -257,8 +257,8 @@ SPECIMEN = "Cylinder Diameter: 50mm;\nCylinder Height: 30mm;\n"
     ],
 )
 def test_a_specimen_states_that_a_table_begins_at_the_touch_and_what_looks_so_is_asked_for(
-    tmp_path: Path, preamble: str, air: float, offset: float, is_touched: bool, is_asked: bool
-) -> None:
+    tmp_path, preamble, air, offset, is_touched, is_asked
+):
     path = tmp_path / "press.csv"
     path.write_text(preamble + NEWTONS + machine_rows(air, offset))
     source = open_source(path, check({}))
@@ -286,9 +286,7 @@ def test_a_specimen_states_that_a_table_begins_at_the_touch_and_what_looks_so_is
         ("Load cell: 1kN\nDiameter: 50\nSpeed (mm/min): 10\n", 0.0, 0.0),
     ],
 )  # fmt: skip
-def test_the_specimen_is_taken_from_the_preamble(
-    tmp_path: Path, preamble: str, area: float, thickness: float
-) -> None:
+def test_the_specimen_is_taken_from_the_preamble(tmp_path, preamble, area, thickness):
     path = tmp_path / "press.csv"
     path.write_text(preamble + NEWTONS + machine_rows(), encoding="utf-8")
     geometry = open_source(path, check({})).parameters.geometry
@@ -298,9 +296,7 @@ def test_the_specimen_is_taken_from_the_preamble(
     assert (geometry.area, geometry.thickness) == (1e-4, 0.01)
 
 
-def test_options_say_what_a_testing_machine_has_recorded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_say_what_a_testing_machine_has_recorded(tmp_path, capsys):
     path = tmp_path / "presses.csv"
     rows = machine_rows(steps=300)
     path.write_text(
@@ -322,9 +318,7 @@ def test_options_say_what_a_testing_machine_has_recorded(
 
 
 @pytest.mark.parametrize(("slope", "curve"), [(400.0, 0.0), (6000.0, 0.0), (400.0, 60.0)])
-def test_the_air_of_a_recording_without_air_does_not_drift(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], slope: float, curve: float
-) -> None:
+def test_the_air_of_a_recording_without_air_does_not_drift(tmp_path, capsys, slope, curve):
     path = tmp_path / "press.csv"
     path.write_text(NEWTONS + machine_rows(offset=0.1, steps=600, slope=slope, curve=curve))
     found = answer(
