@@ -221,12 +221,14 @@ def test_slope_and_phase_are_told_apart_with_deviations():
         slope, phase = generator.uniform(0.05, 0.3), generator.uniform(0.1, 0.7)
         times = np.arange(0.0, 4.02, 0.01)
         strain = 0.1 + 0.01 * np.cos(np.outer(times, omegas)).sum(axis=1)
+        strain += 0.005 * (times - 2.0) ** 2  # the probe drifts
         waves = 300.0 * omegas**slope * np.cos(np.outer(times, omegas) + phase)
         stress = 40.0 + 0.01 * waves.sum(axis=1) + 0.3 * generator.standard_normal(times.size)
         meter = ComplexModulusMeter([1.0, 2.0, 4.0], 4)
         samples = zip(times, strain, stress, strict=True)
         found = [m for sample in samples for m in meter.add(*sample)]
         assert len(found) == 3
+        assert found[0].mean_strain == pytest.approx(0.1 + 0.005 * 4.0 / 3.0, abs=1e-4)
         slopes.append((found[0].slope - slope) / found[0].slope_sd)
         phases += [
             (m.fractional_order - 2.0 / math.pi * phase) / m.fractional_order_sd for m in found

@@ -85,6 +85,13 @@ def test_slope_is_that_of_the_curve_at_the_deepest_point(name):
         assert one.stamp_ns == pytest.approx(START_NS + 1.25 * NANOSECONDS, abs=1.5e7)
 
 
+def test_an_unsure_delay_counts_where_the_curve_bends():
+    places = way((0.005, 1.25))
+    found = last(places, CURVES["exponential"][0](places), displacement__delay_sd=0.01).loading
+    bend = 0.02 * 700.0**2 * math.exp(700.0 * found.depth)
+    assert found.sd == pytest.approx(bend * 0.004 * 0.01, rel=0.1)
+
+
 def noisy(seed: int, name: str) -> tuple[float, float, float]:
     """Return slope, deviation and slope of the curve there, of a noisy press."""
     draw, (curve, derivative) = np.random.default_rng(seed), CURVES[name]
