@@ -101,6 +101,8 @@ rise | the force rises without a touch | begin in the air (a testing machine's t
 clock | the clock jumped back: everything learned was reset
 stuck | the force repeated one value: is the sensor dead, or at its limit?
 no pair | no pair of force and displacement: do the stamps of the two topics overlap?
+few samples | no contact was found in {count} samples, too few to know the force in the air
+  | record 2 s in the air and then a press
 no contact | no contact was found
   | check force.threshold, and the signs of force.axis and displacement.axis: both must grow as
   the probe presses

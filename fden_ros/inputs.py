@@ -21,7 +21,7 @@ from fden_ros.core.streams import (
     normalised,
 )
 from fden_ros.message_kinds import FORCES, PLACES, MessageKind, NumberOrVector, kind_of
-from fden_ros.parameters import Parameters, frames_config, tool_weight, unit_vector
+from fden_ros.parameters import Parameters, direction, frames_config, tool_weight
 
 #: Of ``/tf``.
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -72,8 +72,8 @@ class Inputs:
     def __init__(self, parameters: Parameters, sink: Pipeline) -> None:
         self._sink = sink
         force, displacement = parameters.force, parameters.displacement
-        self._force_axis = unit_vector(force.axis)
-        self._displacement_axis = unit_vector(displacement.axis)
+        self._force_axis = direction(force)
+        self._displacement_axis = direction(displacement)
         self._joints = {"force": force.name, "displacement": displacement.name}
         self._signs = {
             name: -1.0 if own.inverted else 1.0

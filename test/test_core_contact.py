@@ -354,10 +354,11 @@ def test_noise_in_the_air_shows_the_time_of_a_filter(rate, cutoff):
 
 
 @pytest.mark.parametrize("rate", [100, 1000])
-def test_white_noise_drift_and_rounding_are_no_filter(rate):
+def test_white_noise_drift_rounding_and_hum_are_no_filter(rate):
     rng = np.random.default_rng(4)
     times = np.arange(3 * rate) / rate
     white = rng.standard_normal(times.size)
     walk = np.cumsum(rng.standard_normal(times.size)) / np.sqrt(rate)
-    for forces in (white, white + walk, white + 5.0 * times, np.round(0.2 * white + times)):
-        assert filter_time(times, forces, 1.0 if forces is not white else 0.0) == 0.0
+    hum = white + 3.0 * np.sin(2.0 * np.pi * 12.3 * times)
+    for forces in (white, white + walk, white + 5.0 * times, np.round(0.2 * white + times), hum):
+        assert filter_time(times, forces, 0.0 if forces is white or forces is hum else 1.0) == 0.0

@@ -24,6 +24,7 @@ from fden_ros.core import Status
 from fden_ros.core.outputs import Flag, Output
 from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
 from fden_ros.core.streams import NANOSECONDS, Pair
+from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.ros.messages import estimate_message, state_of, summary_message, summary_of
 
@@ -246,6 +247,7 @@ def test_nothing_is_claimed_of_a_saturated_contact():
     assert Flag.SATURATED in found.flags
     assert not found.converged and found.estimate is None and found.apparent_stiffness is None
     assert found.measured == NOT_MEASURED
+    assert "press less" in shortfall(found, pipeline_config(check(parameters)))
 
 
 def test_a_bend_that_narrower_windows_show_counts_in_wider_ones():

@@ -81,16 +81,29 @@ def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good
     assert not stated or claimed >= 0.6 * numbers
 
 
-def test_a_filter_of_the_force_shows_in_its_noise_and_counts_as_a_delay():
+def behind_a_filter(cutoff, **parameters):
+    """Return what is found in a press whose force went through a low-pass [Hz]."""
     path = Path(__file__).parent.parent / "examples" / "press.csv"
     time, force, depth = np.loadtxt(path, delimiter=",", skiprows=1).T[:, :1150]
     noise = 2e-3 * np.random.default_rng(1).standard_normal(time.size)
-    share = -np.expm1(-2.0 * np.pi * 5.0 * np.diff(time).mean())  # 5 Hz
+    share = -np.expm1(-2.0 * np.pi * cutoff * np.diff(time).mean())
     force = lfilter([share], [1.0, share - 1.0], force + noise)
     probe = {"kind": "flat_punch", "area": 3.14e-4, "thickness": 0.02}
-    found = fit(time, force, 1e-3 * depth, geometry=probe)
+    found = fit(time, force, 1e-3 * depth, geometry=probe, **parameters)
     assert any("noise in the air is smooth" in words for words in found.warnings)
     (contact,) = found.contacts
+    return contact
+
+
+def test_behind_a_slow_filter_nothing_is_known_whatever_delay_is_stated():
+    for delay in (0.0, -0.08):
+        contact = behind_a_filter(2.0, **{"displacement.delay": delay})
+        assert "MODEL_MISMATCH" in contact.flags
+        assert np.isnan(contact.G.value) and np.isnan(contact.stiffness.value)
+
+
+def test_a_filter_of_the_force_shows_in_its_noise_and_counts_as_a_delay():
+    contact = behind_a_filter(5.0)
     assert "RIG_PRIOR_CONFLICT" in contact.flags
     true = 450.0 * np.exp(9.0 * 0.3 - 1.0) * 0.1**-0.131 / gamma(1.0 - 0.131) * 3.14e-4 / 0.02
     assert abs(contact.stiffness.value - true) < 3.0 * contact.stiffness.sd
@@ -117,6 +130,8 @@ def test_contact_in_which_the_force_crept_is_flagged_and_widened():
     # alpha is given.
     assert np.all(last.estimate.deviations[:2] > 4.0 * first.estimate.deviations[:2])
     assert np.array_equal(last.estimate.mean, first.estimate.mean)
+    stiffness = last.apparent_stiffness
+    assert stiffness is None or stiffness.sd > 2.0 * first.apparent_stiffness.sd
     assert not last.converged
 
 
@@ -130,6 +145,8 @@ def test_first_contact_whose_air_was_none_is_withdrawn():
     assert first.estimate is not None
     assert last.estimate is None and not last.converged
     assert last.flags & Flag.TOUCH_NOT_OBSERVED
+    assert first.apparent_stiffness and not last.apparent_stiffness
+    assert not any(slope and np.isfinite(slope.depth) for slope in last.measured)
 
 
 # A probe that is dragged over the tissue after its touch

@@ -202,6 +202,14 @@ READ = {
 }
 
 
+@pytest.mark.parametrize(("stream", "message"), [("force", WRENCH), ("displacement", POINT)])
+def test_inverted_turns_vectors_too(stream, message):
+    samples = Samples()
+    inputs = Inputs(check({f"{stream}.inverted": True}), samples)
+    inputs.add(stream, message)
+    assert samples.heard == [(stream, -READ[f"{stream}.axis"][3])]
+
+
 @pytest.mark.parametrize("name", READ)
 def test_parameter_says_what_of_a_message_counts(name):
     value, stream, message, usual, expected = READ[name]

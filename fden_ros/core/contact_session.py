@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
-from fden_ros.core.contact import ContactDetector, Onset, Release
+from fden_ros.core.contact import LONGEST_FILTER, ContactDetector, Onset, Release
 from fden_ros.core.outputs import (
     Flag,
     Output,
@@ -29,6 +29,7 @@ from fden_ros.core.site_contact import Contact
 from fden_ros.core.sites import Sites
 from fden_ros.core.streams import Pair
 from fden_ros.core.strokes import Strokes
+from fden_ros.written import written
 
 
 class ContactSession:
@@ -114,9 +115,14 @@ class ContactSession:
             "beyond the sensor (press slower)"
         )
         smooth = (
-            f"the force's noise in the air is smooth over some {1e3 * detector.filter_time:.2g} "
-            "ms, as behind a filter, which delays the force (measure the delay with fden "
-            "configure and state displacement.delay, or weaken the filter)"
+            "the force's noise in the air is smooth over some "
+            f"{written(1e3 * detector.filter_time, 2)} ms, as behind a filter, which "
+            + (
+                "is too slow for G, Gn and N/m (switch it off, or read the force before it)"
+                if detector.filter_time > LONGEST_FILTER
+                else "delays the force (measure the delay with fden configure and state "
+                "displacement.delay, or weaken the filter)"
+            )
         )
         return {
             inertia: detector.inertial,
@@ -183,8 +189,9 @@ class ContactSession:
         before, stamp_ns = self._sites.present, newest.stamp_ns
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
-        late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
-        onset = onset._replace(filter_time=max(late, 0.0))
+        if onset.filter_time <= LONGEST_FILTER:
+            late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
+            onset = onset._replace(filter_time=max(late, 0.0))
         self._tilt.see(newest.tilt)
         self.air = onset.bias, onset.noise_sd, onset.filter_time, onset.mass
         site = self._sites.of(onset, self._detector.left_unseen_ns)

@@ -10,6 +10,7 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -306,7 +307,10 @@ class Pipeline:
 
     def _completed(self, output: Output) -> Output:
         if isinstance(output, ContactSummary):
-            return replace(output, measured=self._measured.of(output.contact_id))
+            slopes = self._measured.of(output.contact_id)
+            # The surface may have turned out to be none.
+            hidden = Flag.TOUCH_NOT_OBSERVED in output.flags
+            return replace(output, measured=slopes.below(math.nan) if hidden else slopes)
         if not isinstance(output, TissueState):
             return output
         if self.rejected.total() != self._rejected_before:

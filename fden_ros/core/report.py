@@ -278,6 +278,7 @@ class Account:
             estimate=estimate,
             converged=estimate is not None and estimate.converged,
             order_source=order_source(estimate, self._config.estimator),
+            apparent_stiffness=self._stiffness(estimate, self._deepest, self._max_stress),
         )
         if estimate is not None:
             return found

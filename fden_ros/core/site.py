@@ -14,7 +14,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact import Onset
+from fden_ros.core.contact import LONGEST_FILTER, Onset
 from fden_ros.core.estimation import (
     Budget,
     Estimate,
@@ -176,7 +176,9 @@ class Site(Standing):
         scale = config.geometry.stress_per_force
         is_first = first.stamp_ns == self.start_ns
         self._lift_off = LiftOff(onset, scale, is_first=is_first)
-        if onset.filter_time > _CONTRADICTION * config.estimator.uncertainty.delay_sd > 0.0:
+        if onset.filter_time > LONGEST_FILTER:
+            self.withdraw(Flag.MODEL_MISMATCH)
+        elif onset.filter_time > _CONTRADICTION * config.estimator.uncertainty.delay_sd > 0.0:
             self.doubt(Flag.RIG_PRIOR_CONFLICT)
         if self.is_observed and self._estimator is None:
             noise_sd, origin_sd = onset.noise_sd * scale, self.origin_sd

@@ -18,12 +18,18 @@ from fden_ros.written import quantity, written
 _BEYOND_BOUNDARY = 1.5
 #: Largest strain of soft tissue in practice, as a part of its thickness or the probe's radius.
 _LARGEST_COMPRESSION = 0.7
-#: Flags that explain why a contact has not converged, whatever its budget.
-_REASONS = (Flag.TOUCH_NOT_OBSERVED, Flag.RIG_PRIOR_CONFLICT)
+#: Flags that explain what a contact lacks, whatever its budget.
+_REASONS = (
+    Flag.TOUCH_NOT_OBSERVED,
+    Flag.SATURATED,
+    Flag.TISSUE_CHANGED,
+    Flag.MODEL_MISMATCH,
+    Flag.RIG_PRIOR_CONFLICT,
+)
 
 
 def shortfall(summary: ContactSummary, config: PipelineConfig) -> str:
-    """Return what a contact that has not converged lacks, with cause and remedy, or nothing."""
+    """Return what a contact lacks, N/m or more, with cause and remedy, or nothing."""
     return str(_lack(summary, config) or "")
 
 
@@ -66,7 +72,7 @@ def _at_limit(estimate: Estimate | None) -> Iterator[Advice]:
 
 def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
     estimate, budget = summary.estimate, summary.budget
-    if summary.converged:
+    if summary.converged and Flag.MODEL_MISMATCH not in summary.flags:
         return None
     reason = next((flag.name for flag in _REASONS if flag & summary.flags), None)
     if reason is not None and not summary.is_of_path:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fden_ros.advice import INPUTS
+from fden_ros.core.contact import LEAST_SAMPLES
 from fden_ros.core.estimation import KEYS
 from fden_ros.core.outputs import ContactSummary, Failure, Flag, Output, placed
 from fden_ros.core.pipeline import Pipeline
@@ -167,8 +168,9 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
         rejected = pipeline.rejected.total()
         warnings.append(f"{rejected} samples were rejected; `rejected` says why")
     if len(odd) == len(pipeline.problems) and not summaries:
-        code = "no contact" if pipeline.pair_count else "no pair"
-        warnings.append(str(INPUTS[code]))
+        count = pipeline.pair_count
+        code = "few samples" if 0 < count < LEAST_SAMPLES else "no contact" if count else "no pair"
+        warnings.append(str(INPUTS[code].of(count=count)))
     # The assumption about the thickness, where G depends on it.
     strains = [summary.max_strain for summary in summaries if summary.estimate is not None]
     if strains:

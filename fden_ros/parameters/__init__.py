@@ -27,11 +27,11 @@ from fden_ros.parameters.files import (
 )
 from fden_ros.parameters.parameter import Parameter, Value
 from fden_ros.parameters.pipeline import (
+    direction,
     frames_config,
     pipeline_config,
     tool_weight,
     uncertainty_of,
-    unit_vector,
 )
 from fden_ros.parameters.table import (
     NODE_PARAMETERS,
@@ -53,6 +53,7 @@ __all__ = [
     "Value",
     "check",
     "check_types",
+    "direction",
     "frames_config",
     "identifier_values",
     "live_topics",
@@ -64,6 +65,5 @@ __all__ = [
     "read_sections",
     "tool_weight",
     "uncertainty_of",
-    "unit_vector",
     "values_for",
 ]

@@ -15,7 +15,7 @@ from fden_ros.core.law import TorsionalRheometer
 from fden_ros.core.streams import FramesConfig, ToolWeight
 from fden_ros.errors import InputError
 from fden_ros.parameters.parameter import Vector
-from fden_ros.parameters.table import Parameters
+from fden_ros.parameters.table import DisplacementInput, ForceInput, Parameters
 from fden_ros.tissues.library import library_for
 
 
@@ -24,6 +24,12 @@ def unit_vector(values: Sequence[float]) -> Vector:
     length = math.hypot(*values) or 1.0
     x, y, z = (v / length for v in values)
     return x, y, z
+
+
+def direction(stated: ForceInput | DisplacementInput) -> Vector:
+    """Return the unit vector along which a measured vector grows as the probe presses."""
+    x, y, z = unit_vector(stated.axis)
+    return (-x, -y, -z) if stated.inverted else (x, y, z)
 
 
 def pipeline_config(parameters: Parameters) -> PipelineConfig:
@@ -40,7 +46,7 @@ def pipeline_config(parameters: Parameters) -> PipelineConfig:
             f"force.friction is {core.estimator.friction} and force.friction_sd is 0: a friction "
             "is used only with a standard deviation, such as 0.001"
         )
-    axis, stated = map(unit_vector, (displacement.axis, displacement.surface_normal))
+    axis, stated = direction(displacement), unit_vector(displacement.surface_normal)
     frames, along_tool = frames_config(parameters), displacement.along_tool
     normal = stated if along_tool and any(stated) else None
     return replace(
@@ -81,8 +87,8 @@ def frames_config(parameters: Parameters) -> FramesConfig | None:
     return FramesConfig(
         base,
         probe,
-        unit_vector(parameters.force.axis),
-        unit_vector(parameters.displacement.axis),
+        direction(parameters.force),
+        direction(parameters.displacement),
         moves_probe,
         tool_weight(parameters),
     )
@@ -94,6 +100,6 @@ def tool_weight(parameters: Parameters) -> ToolWeight | None:
         return None
     return replace(
         parameters.tool,
-        axis=unit_vector(parameters.force.axis),
+        axis=direction(parameters.force),
         is_torque=parameters.geometry.kind == TorsionalRheometer.kind,
     )

@@ -42,7 +42,7 @@ class ForceInput:
         choices=tuple(FORCES),
     )
     inverted: bool = parameter(
-        "force.inverted", False, "true if the joint's effort falls as the probe presses."
+        "force.inverted", False, "true if the force, along its axis, falls as the probe presses."
     )
     name: str = parameter("force.name", "", "Joint whose effort is the force; empty: the first.")
 
@@ -75,7 +75,7 @@ class DisplacementInput:
     inverted: bool = parameter(
         "displacement.inverted",
         False,
-        "true if the joint's position falls as the probe moves into the tissue.",
+        "true if the displacement, along its axis, falls as the probe moves into the tissue.",
     )
     surface_normal: Vector = parameter(
         "surface.normal",
