@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from command_helpers import answer, fden
-from fault_helpers import first_press
-from frame_helpers import arm, write_bag
+from fault_helpers import arm, first_press, write_bag
 from property_helpers import counts, first
 from scipy import signal
 from unknown_rigs import RigBag, SimulatedRig, judge, simulate_rig
 
+from benchmark.trial import elapsed
 from fden_ros.cli import main
 from fden_ros.configure.reading import read
 from fden_ros.configure.robots import robot_named, robot_names
@@ -42,7 +42,7 @@ from simulation.scenario import (
     Site,
     Tissue,
 )
-from simulation.simulate import START_NS, Recording, simulate
+from simulation.simulate import Recording, simulate
 from simulation.trajectory import Approach, RampHold, Sinusoid, Trajectory
 
 ROOT = Path(__file__).parents[1]
@@ -67,11 +67,6 @@ def look(rig: SimulatedRig, **options: Any) -> Survey:
 def bag_rig(**chosen: Any) -> SimulatedRig:
     rates = {"force_rate": 100.0, "displacement_rate": 100.0}
     return whole_rig(10, **{"presses": 2, **chosen}, **rates, force_noise=0.003)
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return RigBag(bag_rig().streams).write(tmp_path_factory.mktemp("rig") / "bag")
 
 
 @pytest.mark.parametrize(
@@ -200,8 +195,7 @@ def late(delay: float, *motions: Trajectory, seed: int = 0, geometry: Geometry =
 
 def times_of(recording: Recording) -> list[np.ndarray]:
     """Return the times of force and displacement [s]."""
-    streams = recording.force, recording.displacement
-    return [1e-9 * (one.stamp_ns - START_NS) for one in streams]
+    return [elapsed(one.stamp_ns) for one in (recording.force, recording.displacement)]
 
 
 HOLD = (RampHold(0.3, 0.25, 2.0, 0.6),)
@@ -280,8 +274,9 @@ def test_a_file_holds_the_columns(tmp_path, capsys):
     assert read_parameter_file(output).core.synchronize.displacement_delay == 0.0
 
 
-def test_the_file_replays_on_presses_of_the_same_rig(bag, tmp_path, capsys):
-    truth = bag_rig().truth
+def test_the_file_replays_on_presses_of_the_same_rig(tmp_path, capsys):
+    streams, truth = bag_rig()
+    bag = RigBag(streams).write(tmp_path / "bag")
     output = tmp_path / "probe.yaml"
     indenter = ["--flat-punch", truth.area, "--thickness", truth.thickness]
     assert fden("configure", bag, "-o", output, *indenter) == 0

@@ -23,18 +23,21 @@ from typing import Any
 
 import pytest
 from fault_helpers import (
+    FRAMES,
     WARNING_FLAGS,
     Outcome,
+    Place,
     Shift,
     Step,
+    arm,
     assert_sound,
     bouncing,
     lies_of,
     outcome_of,
     shift,
+    transforms,
     undisturbed,
 )
-from frame_helpers import FRAMES, Place, arm, transforms
 from pipeline_helpers import Item, feed
 from property_helpers import counts
 from scipy.spatial.transform import Rotation
@@ -60,37 +63,18 @@ Change = Callable[[Item], Item]
 
 @dataclass(frozen=True)
 class Row:
-    """One fault; its counters, flags and words stand in the table.
+    """One fault; its counters, flags and words stand in the table."""
 
-    Parameters
-    ----------
-    name : str
-        As in the table.
-    samples : callable
-        What arrives instead of the shift's samples.
-    good_from : float
-        When the data are good again [s].
-    moved : float
-        By how much the stamps then differ from the shift's [s].
-    third_site : bool
-        Whether the third site is seen, whole.
-    also : Status
-        What else the status may be in contact, until the probe is lifted.
-    lies : int
-        For so many blocks of 20 ms a number may be wrong before it is noticed: the table says it.
-    fails : int
-        How many exceptions the pipeline contained.
-    """
-
-    name: str
-    samples: Callable[[Shift], Iterable[Step]]
-    good_from: float = END
-    moved: float = 0.0
-    third_site: bool = True
-    also: Status = Status.CONVERGED
+    name: str  #: as in the table
+    samples: Callable[[Shift], Iterable[Step]]  #: what arrives instead of the shift's samples
+    good_from: float = END  #: when the data are good again [s]
+    moved: float = 0.0  #: by how much the stamps then differ from the shift's [s]
+    third_site: bool = True  #: whether the third site is seen, whole
+    also: Status = Status.CONVERGED  #: what else the status may be, until the probe is lifted
+    #: For so many blocks of 20 ms a number may be wrong before it is noticed: the table says it.
     lies: int = 0
     parameters: dict[str, object] = field(default_factory=dict)
-    fails: int = 0
+    fails: int = 0  #: how many exceptions the pipeline contained
 
     @functools.cached_property
     def said_by(self) -> str:
@@ -232,7 +216,7 @@ def called(action: Callable[[Pipeline], object], *seconds: float) -> Callable[[S
 
 
 def from_then(second: float, change: Change, streams: tuple[int, ...] = BOTH) -> Any:
-    return lambda s: each(change, second, s.second(s.items[-1].stamp_ns) + 1.0, streams)(s)
+    return each(change, second, 99.0, streams)
 
 
 def drift(begin: float, end: float, slope: float) -> Callable[[Shift], list[Step]]:
@@ -525,12 +509,8 @@ def test_shift_after_shift_leaves_the_memory_as_it_was(count, kind):
         later = round(number * (s.second(s.items[-1].stamp_ns) + 0.5) * NANOSECONDS)
         # A quarter of the samples, which come in pairs.
         for item in (item for k, item in enumerate(s.items) if k % 8 < 2):
-            stamp = item.stamp_ns + later
-            if item.stream == 0:
-                pipeline.add_force(stamp, item.value)
-            else:
-                x, y, z = item.position
-                pipeline.add_displacement(stamp, item.value, (x + 0.5 * number, y, z))
+            place = item.position and (item.position[0] + 0.5 * number, *item.position[1:])
+            feed(pipeline, [item._replace(stamp_ns=item.stamp_ns + later, position=place)])
         sizes.append(len(pickle.dumps(pipeline)))
     assert pipeline.contact_count == pipeline.site_count == 3 * count
     assert max(sizes[6:]) < 1.02 * sizes[5], sizes

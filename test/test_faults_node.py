@@ -160,22 +160,16 @@ def test_sim_time_without_a_clock_is_said_and_the_estimates_go_on():
 
 
 @row("wrong_frame")
-def test_another_frame_is_refused_and_counted(live):
+@row("missing_field")
+def test_another_frame_and_a_joint_state_without_a_position_are_counted(live):
+    message = JointState(name=["probe"])
     for _ in range(30):
         live.now += STEP_NS
-        live.bench.publish(live.now, 50.0, 0.0, frame="other")
-    live.wait_for_count("force.wrong_frame", 30)
-    live.recovers()
-
-
-@row("missing_field")
-def test_a_joint_state_without_a_position_is_counted(live):
-    message = JointState(name=["probe"])
-    for _ in range(20):
-        live.now += STEP_NS
         message.header.stamp = to_stamp(live.now)
+        live.bench.publish(live.now, 50.0, 0.0, frame="other")
         live.bench.displacement.publish(message)
-    live.wait_for_count("displacement.missing_field", 20)
+    live.wait_for_count("force.wrong_frame", 30)
+    live.wait_for_count("displacement.missing_field", 30)
     live.recovers()
 
 

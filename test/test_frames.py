@@ -13,8 +13,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_helpers import Outcome, assert_alike, first_press, outcome_of, turn_of, undisturbed
-from frame_helpers import FRAMES, TIP, arm, forces, statics, transforms, write_bag
+from fault_helpers import (
+    FRAMES,
+    TIP,
+    Outcome,
+    arm,
+    assert_alike,
+    first_press,
+    forces,
+    outcome_of,
+    statics,
+    transforms,
+    turn_of,
+    undisturbed,
+    write_bag,
+)
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from pipeline_helpers import DISPLACEMENT, FORCE, Item
 from ros_helpers import assert_live_equals_replay

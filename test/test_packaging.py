@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_helpers import first_press
-from frame_helpers import arm, write_bag
+from fault_helpers import arm, first_press, write_bag
 from rclpy.node import NodeNameNonExistentError
 from ros_helpers import Bench, identifier
 
@@ -108,16 +107,13 @@ def test_package_xml_and_setup_py_ask_for_the_same_python_packages():
     assert {ROSDEP_KEYS[name] for name in requirements()} <= dependencies("exec_depend")
 
 
-def test_every_import_is_declared():
+def test_every_import_is_declared_and_the_core_imports_no_ros():
     declared = requirements() | requirements("cluster")
     python = {IMPORT_NAMES.get(name, name) for name in declared}
     ros = {key for key in dependencies("exec_depend") if "-" not in key}
     # pandas: where the user has it, for a table of results.
     assert imported_modules("fden_ros", "launch") <= python | ros | {"pandas"}
-
-
-def test_the_core_and_the_simulation_know_no_ros():
-    ros = {key for key in dependencies("exec_depend") if "-" not in key}
+    # The core and the simulation know no ROS.
     assert not imported_modules("fden_ros/core", "fden_ros/simulation") & ros - {"simulation"}
 
 

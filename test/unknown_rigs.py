@@ -68,8 +68,7 @@ class RigTruth:
     leaves: bool  #: the probe left the surface
 
 
-@dataclass(frozen=True)
-class SimulatedRig:
+class SimulatedRig(NamedTuple):
     """A recording and what is true of it."""
 
     streams: Streams
@@ -132,18 +131,9 @@ class _Mount:
 def simulate_rig(
     seed: int, *, along_tool: bool = False, presses: int = 0, **chosen: Any
 ) -> SimulatedRig:
-    """Return the recording of one rig.
+    """Return the recording of a rig: `chosen` are fields of :class:`RigTruth`, the rest is drawn.
 
-    Parameters
-    ----------
-    seed : int
-        Everything is drawn from it ...
-    along_tool : bool
-        ... but for the directions, if the probe presses along the z of its poses ...
-    presses : int
-        ... for the number of presses of tissue, if given ...
-    **chosen
-        ... and for these fields of :class:`RigTruth`.
+    `along_tool`: the probe presses along the z of its poses; `presses` of tissue, if given.
     """
     draw = np.random.default_rng([seed, 17])
     truth, mount = _draw_rig(seed, draw)
