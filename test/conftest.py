@@ -29,8 +29,8 @@ property_helpers.load_profile()
 _domain = contextlib.ExitStack()
 #: Files that take longest are begun first: at the end no process waits long for another.
 LONGEST = (
-    *("documentation", "live", "benchmark", "identifier", "configure", "faults", "parameters"),
-    *("core_rig", "core_continuous", "cluster", "faults_node", "node_start"),
+    *("documentation", "live", "benchmark", "node", "configure", "faults", "parameters"),
+    *("core_rig", "core_continuous", "cluster", "faults_node"),
     *("core_pipeline_failures", "core_known", "packaging", "commands"),
 )
 

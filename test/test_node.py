@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a node says and does before its first pair of samples, and how it ends."""
+"""The identifier node in its own process, over real DDS: its life, and the launch files."""
 
 from __future__ import annotations
 
@@ -18,13 +18,84 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_helpers import POSE
 from diagnostic_msgs.msg import DiagnosticStatus
 from fden_msgs.msg import TissueEstimate
 from lifecycle_msgs.msg import Transition
 from live_helpers import LIMIT, Ears, process_of
-from ros_helpers import STEP_NS, Bench, active, identifier, stamp
+from rcl_interfaces.srv import DescribeParameters
+from ros_helpers import STEP_NS, Bench, Live, active, assert_live_equals_replay, identifier, stamp
+from std_srvs.srv import Trigger
 
-from simulation.simulate import START_NS
+from fden_ros.core.outputs import Classification, ContactSummary, DynamicModulus, TissueState
+from fden_ros.parameters import PARAMETERS
+from simulation.bag import write_recording
+from simulation.scenario import load_scenario
+from simulation.simulate import START_NS, simulate
+
+
+def continuous(bag: Path) -> Path:
+    """A probe that stays on the tissue; 60 mm in 40 s."""
+    write_recording(simulate(load_scenario("continuous")), bag)
+    return bag
+
+
+@pytest.mark.parametrize(
+    ("made", "kinds", "topics"),
+    [
+        (
+            lambda folder: POSE,
+            (TissueState, Classification, ContactSummary),
+            ("/tool/wrench", "/arm/measured_cp"),
+        ),
+        (continuous, (TissueState, ContactSummary, DynamicModulus), ("/force", "/displacement")),
+    ],
+    ids=["golden pose", "continuous"],
+)
+def test_live_equals_replay_bit_for_bit(made, kinds, topics, tmp_path):
+    remap = dict(zip(topics, ("/force", "/displacement"), strict=True))
+    assert_live_equals_replay(made(tmp_path / "bag"), kinds, remap=remap)
+
+
+def test_parameters_are_described_ranged_and_changed_once_it_is_cleaned_up():
+    with Bench() as bench, active():
+        bench.wait_until_heard()
+        names = [parameter.name for parameter in PARAMETERS] + ["autostart", "source_timeout"]
+        request = DescribeParameters.Request(names=names)
+        descriptors = bench.call(DescribeParameters, "describe_parameters", request).descriptors
+        assert [d.name for d in descriptors] == names
+        assert all(d.description.endswith("]") for d in descriptors)
+        assert next(d for d in descriptors if d.name == "autostart").read_only
+        area = next(d for d in descriptors if d.name == "geometry.area")
+        assert area.floating_point_range[0].to_value == 1.0
+        assert bench.change_state(Transition.TRANSITION_DEACTIVATE)
+        assert bench.change_state(Transition.TRANSITION_CLEANUP)
+        (result,) = bench.set_parameters({"geometry.area": 2e-4})
+        assert result.successful
+
+
+def test_tare_and_reset_work_in_the_air_and_are_refused_elsewhere():
+    with Bench() as bench, active():
+        bench.wait_until_heard()
+        refused = bench.call(Trigger, "tare")
+        assert not refused.success and "air" in refused.message
+        live = Live(bench)
+        live.stream(0.5)
+        live.stream(0.5, lambda t: 0.01 * t)
+        bench.wait_for(lambda: stamp(bench.estimates[-1]) > live.now - 50_000_000, "the press")
+        status = TissueEstimate.STATUS_CONVERGING, TissueEstimate.STATUS_CONVERGED
+        assert bench.estimates[-1].status in status
+        for service in ("tare", "reset"):
+            refused = bench.call(Trigger, service)
+            assert not refused.success
+            assert refused.message == f"the probe is in contact: lift it, then {service}"
+        live.stream(2.0, lambda t: max(5e-3 - 0.02 * t, -2e-3))
+        bench.wait_for(lambda: bench.summaries, "the release")
+        bench.wait_for(lambda: bench.call(Trigger, "tare").success, "the air")
+        assert bench.call(Trigger, "reset").success
+
+
+# What a node says and does before its first pair of samples, and how it ends
 
 
 def warnings_of(node: Any, words: str) -> list[str]:
