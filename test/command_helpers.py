@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,9 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 from sensor_msgs.msg import PointField
 
 from fden_ros.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+POSE = ROOT / "bags" / "golden" / "golden_pose"
 
 
 def fden(*words: object) -> int:
@@ -61,3 +66,10 @@ def points(cloud: Any) -> dict[str, np.ndarray]:
     rows = np.frombuffer(bytes(cloud.data), kind)
     assert rows.size == cloud.width
     return {name: rows[name] for name in rows.dtype.names or ()}
+
+
+def text_of(shown: Any, width: int) -> str:
+    """Return what a terminal of so many columns shows."""
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(shown)
+    return console.export_text()

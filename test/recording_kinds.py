@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
 from mcap.writer import Writer as McapWriter
@@ -19,6 +19,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -287,6 +288,20 @@ def small(count: int = 120, stamp: Callable[[int], int] = lambda time_ns: time_n
     return made
 
 
+def filled(
+    writer: Ros1Writer | Ros2Writer,
+    messages: Messages,
+    store: Typestore,
+    data_of: Callable[[bytes, str], bytes | memoryview],
+) -> None:
+    with writer:
+        topics: dict[str, Any] = {}
+        for topic, kind, time_ns, data in messages:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(topics[topic], time_ns, data_of(data, kind))
+
+
 def ros2(
     folder: Path,
     messages: Messages,
@@ -296,12 +311,7 @@ def ros2(
     writer = Ros2Writer(folder, version=8, storage_plugin=plugin)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        topics = {}
-        for topic, kind, time_ns, data in messages:
-            if topic not in topics:
-                topics[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-            writer.write(topics[topic], time_ns, data)
+    filled(writer, messages, ROS2, lambda data, kind: data)
     return folder
 
 
@@ -311,12 +321,7 @@ def ros1(
     writer = Ros1Writer(path)
     if packing is not None:
         writer.set_compression(packing)
-    with writer:
-        topics = {}
-        for topic, kind, time_ns, data in messages:
-            if topic not in topics:
-                topics[topic] = writer.add_connection(topic, kind, typestore=ROS1)
-            writer.write(topics[topic], time_ns, ROS2.cdr_to_ros1(data, kind))
+    filled(writer, messages, ROS1, ROS2.cdr_to_ros1)
     return path
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import command_helpers
 import pytest
+from command_helpers import POSE, ROOT
 from live_helpers import wait_for
 
 from fden_ros import __version__
@@ -27,8 +28,6 @@ from fden_ros.recording.source import Selection
 distributed = pytest.importorskip("distributed", reason="the extra is not installed")
 dask = pytest.importorskip("dask")
 
-ROOT = Path(__file__).parent.parent
-POSE = ROOT / "bags" / "golden" / "golden_pose"
 CONFIG = POSE / "identifier.yaml"
 WORK = batch.Work(check({}), Selection())
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_helpers import answer, fden, points, rows_of
+from command_helpers import POSE, ROOT, answer, fden, points, rows_of
 from geometry_msgs.msg import PointStamped, WrenchStamped
 from rosbags.highlevel import AnyReader
 
@@ -76,8 +76,6 @@ def test_what_cannot_be_done_is_one_line_and_an_exit_code(command, code, words, 
     assert (found, line.count("\n")) == (code, 1) and words in line
 
 
-ROOT = Path(__file__).parent.parent
-POSE = ROOT / "bags" / "golden" / "golden_pose"
 START = 1_700_000_000_000_000_000
 
 
@@ -129,11 +127,6 @@ def air(folder: Path, seed: int, count: int = 300) -> Path:
     return folder
 
 
-@pytest.fixture
-def work() -> batch.Work:
-    return batch.Work(check({}), Selection())
-
-
 def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsys):
     archive = tmp_path / "archive"
     shutil.copytree(POSE, archive / "press")
@@ -182,9 +175,8 @@ def test_bags_are_found_in_folders_and_by_patterns(tmp_path):
         batch.find_bags([str(tmp_path / "nowhere")])
 
 
-def test_a_bag_is_done_again_where_its_rows_are_cut_off_and_other_parameters_are_refused(
-    tmp_path, work
-):
+def test_a_bag_is_done_again_where_its_rows_are_cut_off_and_other_parameters_are_refused(tmp_path):
+    work = batch.Work(check({}), Selection())
     bags = [str(air(tmp_path / f"bag{index}", index, 20)) for index in range(2)]
     other = batch.Work(check({"geometry.thickness": 0.03}), Selection())
     assert work.digest() == batch.Work(check({}), Selection()).digest() != other.digest()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_helpers import answer, fden
+from command_helpers import POSE, answer, fden
 from pipeline_helpers import begun
 from rosbags.highlevel import AnyReader
 
@@ -25,9 +25,7 @@ from fden_ros.recording.writer import BagWriter
 from fden_ros.ros.status import PipelineProblems
 from simulation.bag import PARAMETER_FILE
 
-GOLDEN = Path(__file__).parent.parent / "bags" / "golden"
-PRESS = GOLDEN / "golden_press"
-POSE = GOLDEN / "golden_pose"
+PRESS = POSE.with_name("golden_press")
 
 
 def error_line(capsys: pytest.CaptureFixture[str], code: int, *arguments: str | Path) -> str:

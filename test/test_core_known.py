@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -22,8 +22,11 @@ from pipeline_helpers import (
 )
 from property_helpers import first
 
+from benchmark.changes import CASES, CHANGES, NOTHING, Change, Pressed, press, run_trial
 from benchmark.real import Test as Measured
+from benchmark.real import hold_order
 from benchmark.real import identify as identify_measured
+from fden_ros.core.arrays import Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.estimation import (
     KEYS,
@@ -185,6 +188,81 @@ def test_a_press_on_a_given_origin_that_is_found_late_begins_at_the_origin(seed)
         [0.0, begin, begin + ramp], [0.0, 0.0, depth], times, FdenModel(1.5, 11.5, 0.3)
     )
     test = Measured("made", "made", times, forces, thickness * strains, thickness)
+    # Of the hold alone, by any curve.
+    assert hold_order(test) == pytest.approx(0.3, abs=0.02)
     estimate = identify_measured(test)[1].estimate
     assert np.abs(off(estimate, (1.5, 11.5, 0.3))).max() < 3.0
     assert estimate.deviations[2] < 0.02
+
+
+# A change of the tissue under the probe
+
+
+SLIDE = next(change for change in CHANGES if change.kind == "slide")
+DOUBLED = next(change for change in CHANGES if change.name == "inclusion 2")
+
+
+@pytest.mark.parametrize(
+    ("case", "change", "number"),
+    [
+        ("flat_30", SLIDE, 4),
+        ("flat_500", SLIDE, 2),
+        ("flat_30", DOUBLED, 4),
+        ("sphere_500", DOUBLED, 5),
+    ],
+)
+def test_a_change_is_reported_after_it_began(case, change, number):
+    assert 0.0 <= run_trial((case, change.name), number) < 2.0
+
+
+def changed_press(
+    case: str,
+    number: int,
+    change: Change = NOTHING,
+    forces: Callable[[Pressed], Array] = lambda own: own.forces,
+) -> tuple[Pressed, list[Output]]:
+    """Return a press, and the outputs of the pipeline."""
+    row = CASES[case]
+    own = press(row.geometry, row.rate_hz, change, number)
+    parameters = {**row.parameters, **row.geometry.parameters}
+    return own, of_columns(parameters, own.times, forces(own), own.displacements)[1]
+
+
+@pytest.mark.parametrize(("seconds", "is_changed"), [(0.06, False), (0.2, True)])
+def test_a_brief_jerk_of_the_force_is_no_change(seconds, is_changed):
+    def jerked(own: Pressed) -> Array:
+        middle = own.times[own.forces.argmax()] + 0.3
+        is_during = (own.times > middle) & (own.times < middle + seconds)
+        return own.forces + 0.2 * own.forces.max() * is_during
+
+    states = states_of(changed_press("flat_500", 2, forces=jerked)[1])
+    assert any(state.flags & Flag.TISSUE_CHANGED for state in states) == is_changed
+
+
+def test_nothing_is_known_once_the_tissue_has_changed():
+    outputs = changed_press("flat_500", 2, SLIDE)[1]
+    states = states_of(outputs)
+    changed = [bool(state.flags & Flag.TISSUE_CHANGED) for state in states]
+    first = changed.index(True)
+    assert any(state.estimate and state.estimate.known for state in states[:first])
+    assert not any(state.estimate and state.estimate.known for state in states[first:])
+
+
+@pytest.mark.parametrize(
+    ("case", "number"),
+    [
+        ("flat_30", 4),
+        ("flat_500", 2),
+        # All weight was at one value of alpha: it was known to 3e-17.
+        ("sphere_500", 43),
+    ],
+)
+def test_the_same_tissue_is_known_and_right(case, number):
+    own, outputs = changed_press(case, number)
+    states = states_of(outputs)
+    assert not any(state.flags & Flag.TISSUE_CHANGED for state in states)
+    (summary,) = summaries_of(outputs)
+    estimate, tissue = summary.estimate, own.tissue
+    assert estimate is not None and estimate.known == ParameterSet.ALL
+    true = tissue.linear_stiffness, tissue.nonlinear_stiffness, tissue.fractional_order
+    assert np.abs(off(estimate, true)).max() < 4.5

@@ -35,10 +35,6 @@ def text_of(page: str | Path) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
-def quoted(text: str) -> list[str]:
-    return re.findall(r"`([^`]+)`", text)
-
-
 def code_blocks(text: str) -> list[str]:
     """Return the blocks that are indented by four, less the indentation."""
     blocks = re.findall(r"(?m)(?:^    .*\n(?:\s*\n(?=    ))?)+", text)
@@ -134,7 +130,11 @@ def test_the_page_of_the_interface_has_every_value_of_an_enumeration(prefix, kin
     page = text_of("docs/interface.md")
     heading = {"ALPHA": "`alpha_source`", "FLAG": "`flags`"}.get(prefix, f"`{prefix.lower()}`")
     table = page.partition(f"| {heading}")[2].partition("\n\n")[0]
-    named = {name for line in table.splitlines()[2:] for name in quoted(line.split("|")[1])}
+    named = {
+        name
+        for line in table.splitlines()[2:]
+        for name in re.findall(r"`([^`]+)`", line.split("|")[1])
+    }
     assert named == set(members(kind)) - ({"NONE"} if kind is Flag else set())
 
 

@@ -99,16 +99,11 @@ def test_mistake_is_told_in_one_line_with_the_file(tmp_path, data, said):
     assert said in message and str(path) in message
 
 
-def parameters(path="", **geometry):
-    values = {f"geometry.{name}": value for name, value in geometry.items()}
-    return check({"classifier.library": str(path), **values})
-
-
 @pytest.mark.parametrize(("units", "area"), [("N", 1e-4), ("Pa", 1.0)])
 def test_library_of_other_units_is_refused(tmp_path, units, area):
     path = written(tmp_path, content(format=2, units=units))
     with pytest.raises(InputError, match=f"G is in {units} s\\^alpha, but the estimates"):
-        pipeline_config(parameters(path, area=area))
+        pipeline_config(check({"classifier.library": str(path), "geometry.area": area}))
 
 
 MEAN = np.array([6.3, 2.1, 0.13])

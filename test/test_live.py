@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_helpers import points
+from command_helpers import points, text_of
 from fden_msgs.msg import PalpationSummary, TissueEstimate
 from geometry_msgs.msg import WrenchStamped
 from live_helpers import (
@@ -32,7 +32,6 @@ from live_helpers import (
 from pipeline_helpers import ESTIMATE, of_columns, states_of, summary
 from property_helpers import counts
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rich.console import Console
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
@@ -104,9 +103,7 @@ def test_a_site_is_one_point_of_its_newest_contact():
 
 
 def shown(view: MonitorView) -> str:
-    console = Console(width=110, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    console.print(monitor_view(view))
-    return console.export_text()
+    return text_of(monitor_view(view), 110)
 
 
 def test_the_monitor_shows_what_is_known_and_what_is_not():

@@ -40,18 +40,14 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def identified(
-    recording: Path,
-    columns: str,
-    parameters: dict[str, object],
-    outputs: list[Output] | None = None,
-) -> Replay:
-    kept = [] if outputs is None else outputs
-    return replay(
-        recording,
-        check(parameters),
-        Selection(columns=Columns.parse(columns)),
-        on_output=lambda output, _frame: kept.append(output),
+    recording: Path, columns: str, parameters: dict[str, object]
+) -> tuple[Replay, list[Output]]:
+    outputs: list[Output] = []
+    chosen = Selection(columns=Columns.parse(columns))
+    found = replay(
+        recording, check(parameters), chosen, on_output=lambda output, _: outputs.append(output)
     )
+    return found, outputs
 
 
 WRONG = {
@@ -68,8 +64,7 @@ WRONG = {
 
 @pytest.mark.parametrize(("columns", "parameters", "words"), WRONG.values(), ids=WRONG)
 def test_wrong_unit_is_never_converged_and_said_with_its_factor(columns, parameters, words, once):
-    outputs: list[Output] = []
-    result = identified(once, columns, parameters, outputs)
+    result, outputs = identified(once, columns, parameters)
     assert result.summaries and not result.has_identified
     assert all(summary.flags & Flag.IMPLAUSIBLE for summary in result.summaries)
     assert any(words in warning for warning in result.warnings), result.warnings
@@ -104,7 +99,7 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
 def test_slow_recording_is_identified():
     # 2 samples a second; G goes with time^alpha.
     factor = 100
-    result = identified(PRESS, f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
+    result, _ = identified(PRESS, f"time_s*{factor},force_N,depth_mm*1e-3", RIGID)
     assert not result.rejected and not result.warnings
     for summary, (g, g_n) in zip(result.summaries, ((450.0, 9.0), (700.0, 8.0)), strict=True):
         assert summary.converged and summary.estimate is not None
@@ -113,9 +108,8 @@ def test_slow_recording_is_identified():
 
 
 def test_without_a_stated_geometry_nothing_is_converged(once):
-    outputs: list[Output] = []
     unstated = {**RIGID, **dict.fromkeys(PROBE, 0.0)}
-    result = identified(once, RIGHT, unstated, outputs)
+    result, outputs = identified(once, RIGHT, unstated)
     assert "kind: flat_punch, area: " in result.warnings[0]
     # The measured slope needs none.
     assert result.with_stiffness_alone == {s.contact_id for s in result.summaries} != set()

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_helpers import fden, rows_of
+from command_helpers import POSE, ROOT, fden, rows_of
 from recording_kinds import bag_of, small
 
 from fden_ros.offline.batch import Results, Work, find_bags, identify
@@ -28,8 +28,6 @@ from fden_ros.recording.text import looks_like_a_table
 
 fsspec = pytest.importorskip("fsspec", reason="the extra is not installed")
 
-ROOT = Path(__file__).parent.parent
-POSE = ROOT / "bags" / "golden" / "golden_pose"
 CONFIG = POSE / "identifier.yaml"
 
 

@@ -19,6 +19,7 @@ from scipy.integrate import quad
 from scipy.special import gamma
 from sensor_msgs.msg import JointState
 
+from benchmark.trial import elapsed, presses_of
 from fden_ros.simulation import Column, FdenModel
 from fden_ros.simulation import Tissue as SteppedTissue
 from simulation.closed_form import moves_of_knots, stress_of_piecewise_linear_strain
@@ -33,7 +34,7 @@ from simulation.scenario import (
     Tissue,
     scenario_of_mapping,
 )
-from simulation.simulate import START_NS, simulate
+from simulation.simulate import simulate
 from simulation.trajectory import Approach, RampHold
 
 
@@ -166,43 +167,22 @@ def test_wrong_value_is_refused_in_one_line_that_says_what_is_right(path, value,
 AREA = np.pi * 0.01**2
 
 
-def seconds(stream):
-    return (stream.stamp_ns - START_NS) * 1e-9
-
-
-def contact_times(recording):
-    return [
-        ((c["start_ns"] - START_NS) * 1e-9, (c["end_ns"] - START_NS) * 1e-9)
-        for c in recording.truth["contacts"]
-    ]
-
-
 MODEL = FdenModel(4000.0, 8.0, 0.2)
 THICKNESS = 0.02
 
 
-def scenario(press=None, *, disturbances=None, **changes):
+def recorded(**changes):
     """Return a press and hold without noise at 500 Hz, disturbed or not."""
     tissue = Tissue(MODEL.linear_stiffness, MODEL.nonlinear_stiffness, MODEL.fractional_order)
     given = Scenario(
         geometry=Geometry("flat_punch", radius_m=0.01, thickness_m=THICKNESS),
-        sites=(Site(tissue, (press or RampHold(0.2, 0.25, 1.0, 0.4),)),),
+        sites=(Site(tissue, (RampHold(0.2, 0.25, 1.0, 0.4),)),),
         approach=Approach(0.005, 0.01, 0.002, start_pause_s=0.5),
         force=ForceSensor(rate_hz=500.0),
         displacement=DisplacementSensor(rate_hz=500.0),
-        disturbances=disturbances or Disturbances(),
         seed=3,
     )
-    return replace(given, **changes)
-
-
-def recorded(press=None, **arguments):
-    return simulate(scenario(press, **arguments))
-
-
-def exact_force(times, strain):
-    """Return the force of the law along a strain (n,) that is 0 first, at the same times."""
-    return AREA * stress_of_piecewise_linear_strain(times, strain, times, MODEL)
+    return simulate(replace(given, **changes))
 
 
 @pytest.mark.parametrize("kind", ["breathing", "compliance"])
@@ -214,15 +194,16 @@ def test_disturbed_motion_changes_the_strain_and_not_the_reading(kind):
     }[kind]
     disturbed, clean = recorded(disturbances=given), recorded()
     assert disturbed.displacement.value.tobytes() == clean.displacement.value.tobytes()
-    times, force = seconds(disturbed.force), disturbed.force.value
+    times, force = elapsed(disturbed.force.stamp_ns), disturbed.force.value
     # The seed gives the phases. The force is what the law gives for the strain that the surface,
     # or this very force, leaves.
     phases = Phases.draw(np.random.Generator(np.random.PCG64(np.random.SeedSequence([3, 3]))))
     lost = given.surface(times, phases) + given.compliance_m_per_n * force
-    start, stop = contact_times(disturbed)[0]
+    start, stop = presses_of(disturbed)[0]
     inside = (times > start) & (times < stop)
-    depth = (clean.displacement.value - lost)[inside]
-    expected = exact_force(np.append(start, times[inside]), np.append(0.0, depth) / THICKNESS)[1:]
+    knots = np.append(start, times[inside])
+    strains = np.append(0.0, (clean.displacement.value - lost)[inside]) / THICKNESS
+    expected = AREA * stress_of_piecewise_linear_strain(knots, strains, knots, MODEL)[1:]
     np.testing.assert_allclose(force[inside], expected, rtol=0, atol=5e-3 * force.max())
     assert np.abs(force - clean.force.value).max() > 0.1 * clean.force.value.max()
     if kind == "breathing":
@@ -231,7 +212,7 @@ def test_disturbed_motion_changes_the_strain_and_not_the_reading(kind):
 
 def test_friction_pushes_against_the_motion_and_ends_with_the_contact():
     clean, disturbed = recorded(), recorded(disturbances=Disturbances(friction_n=0.02))
-    times, (start, stop) = seconds(clean.force), contact_times(clean)[0]
+    times, (start, stop) = elapsed(clean.force.stamp_ns), presses_of(clean)[0]
     inward, outward = (times > start) & (times < start + 1.25), times > start + 2.25
     expected = 0.02 * ((times < stop) * (1.0 * inward - outward))
     edges = np.array([start, start + 1.25, start + 2.25, stop])

@@ -13,13 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from command_helpers import answer, with_values
+from pipeline_helpers import of_columns, summaries_of
 
 from benchmark.laws import Law, springpot, stress_of_law
-from benchmark.trial import fed, last_summaries
 from fden_ros.core.law import Sphere
-from fden_ros.core.outputs import Output
-from fden_ros.core.pipeline import Pipeline
-from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.bag import write_recording
 from simulation.elastic_layer import stiffening
@@ -110,21 +107,16 @@ def test_the_retract_of_a_round_probe_tells_nothing_where_its_contact_shrinks():
     model = FdenModel(2000.0, 7.0, 0.15)
 
     def found(more: float) -> float:
-        values = {"geometry.kind": "sphere", "geometry.radius": 0.01}
-        config = pipeline_config(check({**values, **KNOWN_RIG}))
-        geometry = config.geometry
+        geometry = Sphere(0.01)
         strains = np.sign(compressions) * [geometry.strain(abs(u)) for u in compressions]
         law = Law(model, springpot(model.fractional_order))
         forces = stress_of_law(law, strains, step) / geometry.stress_per_force
         forces *= np.where((times > 6.2) & (compressions < 0.94 * 0.35), 1.0 + more, 1.0)
         noise = 1e-3 * forces.max() * np.random.default_rng(1).standard_normal(times.size)
-        outputs: list[Output] = []
-        pipeline = Pipeline(config, outputs.append)
         samples = (times, forces + noise, geometry.length * compressions)
-        for _ in fed(pipeline, *(one[cuts - 1 :: cuts] for one in samples), placed=True):
-            pass
-        pipeline.finish()
-        (summary,) = last_summaries(outputs).values()
+        values = {"geometry.kind": "sphere", "geometry.radius": 0.01, **KNOWN_RIG}
+        outputs = of_columns(values, *(one[cuts - 1 :: cuts] for one in samples))[1]
+        summary = summaries_of(outputs)[-1]
         # Without an estimate the tissue has changed.
         return summary.estimate.linear_stiffness if summary.estimate is not None else math.inf
 

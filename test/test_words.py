@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command_helpers import text_of
 from pipeline_helpers import ESTIMATE, Item, identified, items_of, off, summaries_of, summary
 from property_helpers import first
-from rich.console import Console
 
 from fden_ros.advice import FLAGS
 from fden_ros.core.classification import ClassProbabilities
@@ -37,12 +36,6 @@ from fden_ros.ros.messages import (
 from simulation.scenario import DisplacementSensor, ForceSensor, Geometry, Scenario, Site, Tissue
 from simulation.simulate import simulate
 from simulation.trajectory import RampHold
-
-
-def printed(*contacts: ContactSummary) -> str:
-    console = Console(width=80, record=True, file=Path("/dev/null").open("w"))  # noqa: SIM115
-    console.print(contact_table(contacts))
-    return console.export_text()
 
 
 @pytest.mark.parametrize(
@@ -97,7 +90,8 @@ def test_the_table_wraps_no_word_at_80_columns(flags):
     slopes = Slopes(MeasuredSlope(1620.3, 115.2, 0.00372, 0), None)
     stiff = ApparentStiffness(1047.8, 105.1, 0.1)
     one = replace(SUMMARY, flags=flags, classes=None, measured=slopes, apparent_stiffness=stiff)
-    text = printed(one, replace(one, contact_id=112, flags=Flag.NONE))
+    contacts = [one, replace(one, contact_id=112, flags=Flag.NONE)]
+    text = text_of(contact_table(contacts), 80)
     assert set(status_words(one).split()) <= set(text.split())
     assert "1,050 ± 110" in text and "1,600 at 3.7" in text
 
