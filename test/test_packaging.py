@@ -143,13 +143,13 @@ def test_colcon_builds_the_package_into_a_workspace_that_ros_finds(tmp_path):
 
 PRESS = ("examples/press.csv", "--config", "examples/probe.yaml")
 POSE = "bags/golden/golden_pose"
-POSES = (POSE, "--config", f"{POSE}/identifier.yaml")
+ARM = ("{arm}", "--config", "{arm}/identifier.yaml")
 
 
 OFFLINE = [
-    ("replay", "{arm}", "--config", "{arm}/identifier.yaml", "--json"),
+    ("replay", *ARM, "--json"),
     ("configure", POSE),
-    ("batch", *POSES, "-o", "{new}/table.csv"),
+    ("batch", *ARM, "-o", "{new}/table.csv"),
     ("fit", "relaxation", "{new}/relaxation.csv", "--strain", "0.1"),
 ]
 
