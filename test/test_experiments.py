@@ -212,7 +212,9 @@ BAD = {
         "relaxation", "Time (s),Strain,True stress (kPa),Stress (kPa)\n1,.1,5,5\n2,.1,4,4\n",
         "several could be it",
     ),
-    "two pairs": ("nonlinearity", "stress_pa,strain_coefficient\n1,.1\n2,.2\n", "3 different"),
+    "two stresses": (
+        "nonlinearity", "stress_pa,strain_coefficient\n1,.1\n2,.2\n1,.1\n", "3 different",
+    ),
     "no stress": ("creep", "time_s,strain\n1,0.1\n2,0.11\n", "give --stress PA"),
 }  # fmt: skip
 
