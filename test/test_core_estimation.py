@@ -82,15 +82,19 @@ def pressed(seed: int, hold: float = 1.0) -> Samples:
 
 
 def released(
-    samples: Samples, uncertainty: Uncertainty = EXACT, size: int = 5, parts_after: int = 0
+    samples: Samples,
+    uncertainty: Uncertainty = EXACT,
+    size: int = 5,
+    parts_after: int = 0,
+    noise: float = NOISE,
 ) -> tuple[GridEstimator, Estimate]:
     """Return an estimator that took a press in parts, and its last estimate.
 
     `parts_after`: of its last work, how many are done before the release is asked for.
     """
     config = EstimatorConfig(uncertainty=uncertainty)
-    estimator = GridEstimator(Setting(config, GEOMETRY, NOISE, CONTACT_POINT_SD))
-    estimator.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 0.0)
+    estimator = GridEstimator(Setting(config, GEOMETRY, noise, CONTACT_POINT_SD))
+    estimator.touch(Touch(0.3 * noise, 0.0, np.zeros((3, 0))), 0.0)
     for k in range(0, len(samples.times), size):
         parts = [column[k : k + size].tolist() for column in samples[:3]]
         estimator.add(*parts, [True] * len(parts[0]))
@@ -275,6 +279,25 @@ def test_press_with_many_corners_has_few_cells() -> None:
     stamps = samples.times + np.where(np.arange(samples.times.size) % 10 == 0, 0.8 / RATE_HZ, 0.0)
     press = gathered(blocks_of(samples._replace(times=stamps)), 0.0, 40)
     assert press.middles.size <= 40 + 2 * 6
+
+
+def moved_in_steps(seed: int) -> Samples:
+    """Simulate a press for 5 s whose depth changes each 0.2 s: more corners than cells."""
+    generator = np.random.default_rng(seed)
+    starts, depths = 0.3 + 0.2 * np.arange(24), generator.uniform(0.1, 0.2, 24)
+    knots = np.append([0.0, 0.3], np.stack([starts + 0.06, starts + 0.2]).T)
+    path, times = np.append([0.0, 0.0], np.repeat(depths, 2)), np.arange(0.29, 5.1, 0.005)
+    tissue = 600.0, 8.0, 0.13
+    clean = stress_of_piecewise_linear_strain(knots, path, times, FdenModel(*tissue))
+    stresses = clean + generator.normal(0.0, 0.1 * NOISE, times.size)
+    return Samples(times - times[0], np.interp(times, knots, path), stresses, tissue, clean)
+
+
+@pytest.mark.parametrize("seed", first(0, 1, 2, 3, 4, 5, 6, 7))
+def test_cells_that_the_motion_turns_in_are_no_better_than_they_are(seed: int) -> None:
+    samples = moved_in_steps(seed)
+    estimate = released(samples, NOTHING_UNKNOWN, noise=0.1 * NOISE)[1]
+    assert np.abs(off(estimate, samples.tissue)).max() < 4.0
 
 
 def test_same_samples_in_other_parts_give_the_same_bits() -> None:

@@ -35,6 +35,12 @@ CREEP_RATES: Array = np.append(RATES, 0.0)
 _DEPTH_STEPS, _LEAST_DEPTH = 80.0, 0.4
 #: Sharpest corners of the motion that are kept, and that no cell lies across [1].
 _CORNERS, _TURNS = 12, 6
+#: Error of a strain whose motion bends between two samples, over the bend times the step [1].
+_CORNER = 0.2
+#: What two points miss counts above as many standard deviations of the noise of the motion [1].
+_MISSED_DEVIATIONS = 2.0
+#: A stress below this part of the largest counts as none in the first rise [1].
+_LOW = 0.1
 #: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
 _FORGOTTEN = -60.0
 
@@ -52,7 +58,7 @@ class Press:
     durations: Array  #: of the blocks in them [s], (N,)
     counts: Array  #: samples, (N,)
     stresses: Array  #: means [Pa], (N,)
-    corners: Array  #: strain by which the motion is off its line where it bends [1], (N,)
+    missed: Array  #: strain by which their two points miss the motion [1], (N,)
     steps: Array  #: time between the samples there [s], (N,)
     start: float  #: time of its first point [s]
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
@@ -160,7 +166,7 @@ class Path(NamedTuple):
             durations=of_cell(block.duration + block.step),
             counts=of_cell(block.samples),
             stresses=of_cell(block.stress),
-            corners=of_cell(max(bends, default=0.0)),
+            missed=of_cell(_CORNER * max(bends, default=0.0)),
             steps=of_cell(max(step, 1e-4)),
             start=self.start,
             memory=_NO_MEMORY,
@@ -181,7 +187,7 @@ class Path(NamedTuple):
 
 _NO_MEMORY = np.zeros((RATE_COUNT + 2, 0, 0))
 _OF_POINTS = "times", "indentations", "speeds"
-_OF_CELLS = "middles", "durations", "counts", "stresses", "corners", "steps"
+_OF_CELLS = "middles", "durations", "counts", "stresses", "missed", "steps"
 
 
 def _seen_slope(slope: Array | float, slope_sd: Array | float, noise_sd: float) -> Array:
@@ -243,7 +249,8 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     """Return the cell of each observed block, at most some `most` cells.
 
     They are put together where stress and age of the motion change little, and never across one
-    of its sharpest corners.
+    of its sharpest corners. The first rise tells where the contact point is, so that its logarithm
+    counts as much as all that comes later.
     """
     m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
     if m <= most:
@@ -257,6 +264,8 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     age = np.maximum(np.diff(np.log(since + 0.02), prepend=math.log(0.02)), 0.0)
     measure = np.cumsum(change) / max(change.sum(), 1e-12) + 0.3 * np.arange(m) / m
     measure += np.cumsum(age) / max(age.sum(), 1e-12)
+    rise = np.log(np.maximum.accumulate(np.maximum(rows.stresses, 0.0)) + _LOW * scale)
+    measure += (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
     cell = np.floor(measure / measure[-1] * (most - 1e-6)).astype(np.intp)
     begins = (np.diff(cell, prepend=cell[0]) > 0) | turns | np.append(False, turns[:-1])
     begins[0] = False
@@ -285,6 +294,7 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
         for k, e in zip(met, [*met[1:], times.size], strict=True)
     ]
     size = middle.size
+    bent = _CORNER * np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2))
     press = Press(
         grid,
         np.interp(grid, times, rows.indentations),
@@ -295,12 +305,35 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
         weights @ rows.durations,
         total,
         weights @ rows.stresses,
-        np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2)),
+        np.hypot(bent, _missed(rows, weights, ends, noise_sd)),
         weights @ np.maximum(rows.steps[at], 1e-4),
         float(grid[0]),
         _NO_MEMORY,
     )
     return press.remembered()
+
+
+def _missed(rows: _Rows, weights: Array, ends: Array, noise_sd: float) -> Array:
+    """Return the strain by which the mean of two points misses that of cells [1], (N,).
+
+    Of cells of several blocks, `weights` (N, m), as far as it is above the noise of the motion:
+    a motion that turns within one is no line there.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (2 N,)
+        Times of the first points of the cells, then of the last [s].
+    """
+    size, m = weights.shape
+    times, motion = (0.5 * (v[rows.first] + v[rows.last]) for v in (rows.times, rows.indentations))
+    after = np.searchsorted(times, ends).clip(1, m - 1)
+    share = np.clip((ends - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
+    off, cell = weights.copy(), np.tile(np.arange(size), 2)
+    np.subtract.at(off, (cell, after - 1), 0.5 * (1.0 - share))
+    np.subtract.at(off, (cell, after), 0.5 * share)
+    off[(weights > 0.0).sum(axis=1) == 1] = 0.0
+    noise = (_MISSED_DEVIATIONS * noise_sd) ** 2 * (off**2 @ (1.0 / rows.counts))
+    return np.sqrt(np.maximum((off @ motion) ** 2 - noise, 0.0))
 
 
 def _points(rows: _Rows, ends: Array) -> Array:

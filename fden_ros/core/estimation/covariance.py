@@ -44,8 +44,6 @@ _YOUNG = 0.01
 _SURFACE_TIME = 0.25
 #: What the two points of a cell miss of its mean stress, over that stress [1].
 _MISSED = 5e-4
-#: Error of a strain whose motion bends between two samples, over the bend times the step [1].
-_CORNER = 0.2
 #: So that S is positive, of its diagonal [1].
 JITTER = 1e-9
 #: Sizes of the errors over the stated one: of delta with the logarithm of their prior, of epsilon,
@@ -195,23 +193,23 @@ class Covariance:
 
     def _noise_of_cells(self) -> Array:
         place, linear = self.law.place, self.linear
-        durations, steps, corners, counts = (
-            place.joined(name) for name in ("durations", "steps", "corners", "counts")
+        durations, steps, missed, counts = (
+            place.joined(name) for name in ("durations", "steps", "missed", "counts")
         )
         return self.noise_of(
-            durations, steps, corners, counts, linear.gains, linear.steepest, linear.stresses
+            durations, steps, missed, counts, linear.gains, linear.steepest, linear.stresses
         )
 
     def noise_of(
-        self, durations: Array, steps: Array, corners: Array, counts: Array, gains: Array,
+        self, durations: Array, steps: Array, missed: Array, counts: Array, gains: Array,
         steepest: Array, stresses: Array,
     ) -> Array:  # fmt: skip
         """Return the variances of cells that are theirs alone [Pa^2]."""
         theta = self.about.theta
         fast = gains * self.law.relaxed(theta, np.maximum(durations, 1e-4))
-        corner = _CORNER * corners * steepest * self.law.relaxed(theta, steps)
+        off = missed * steepest * self.law.relaxed(theta, steps)
         sample = self._noise.stress**2 + (fast * self._noise.indentation) ** 2
-        return np.asarray(sample / counts + corner**2 + (_MISSED * stresses) ** 2)
+        return np.asarray(sample / counts + off**2 + (_MISSED * stresses) ** 2)
 
     def at(self, scales: Scales) -> Array:
         """Return S, (N, N)."""

@@ -338,7 +338,7 @@ class Filter:
         law.add_stress_columns(tail, total[:1], column[None])
         load, gain, steepest = of_cells(tail, drive)
         noise = grid.covariance.noise_of(
-            tail.durations, tail.steps, tail.corners, tail.counts, gain, steepest, total[:1]
+            tail.durations, tail.steps, tail.missed, tail.counts, gain, steepest, total[:1]
         )
         return self._row_of(tail, total[:k], total[k:], float(load[0]), float(gain[0]), noise)
 
