@@ -29,6 +29,35 @@ _SITE_PART, _LEAST_SITE, _LARGEST_SITE = 0.2, 5e-4, 2e-3
 
 
 @dataclass(frozen=True)
+class SiteConfig:
+    """When a contact is at a new site."""
+
+    distance: float = parameter(
+        "site.distance",
+        0.0,
+        "Sideways distance to a new site; 0: radius/5, 0.5 to 2 mm.",
+        "m",
+        0.0,
+        1.0,
+    )
+    timeout: float = parameter(
+        "site.timeout",
+        2.0,
+        "Without positions, a touch after this time may be at another site.",
+        "s",
+        0.0,
+        1e5,
+    )
+    without_position: str = parameter(
+        "site.without_position",
+        "either",
+        "Site of a touch without a position: the same, another, or either; then the data decide "
+        "after site.timeout.",
+        choices=("same", "other", "either"),
+    )
+
+
+@dataclass(frozen=True)
 class PipelineConfig:
     """Configuration of all steps; times in seconds, SI units throughout."""
 
@@ -61,6 +90,7 @@ class PipelineConfig:
         choices=("touch", "continuous"),
     )
     contact: ContactConfig = field(default_factory=ContactConfig)
+    site: SiteConfig = field(default_factory=SiteConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     block_duration: float = parameter(
         "estimate.period", 0.01, "One estimate per this time.", "s", 1e-3, 1.0
@@ -103,7 +133,7 @@ class PipelineConfig:
     def site_distance(self) -> float:
         """Lateral distance beyond which a contact is at a new site [m]."""
         own = min(max(_SITE_PART * self.geometry.probe_radius, _LEAST_SITE), _LARGEST_SITE)
-        return self.contact.site_distance or own
+        return self.site.distance or own
 
     def is_apart(self, a: Position, b: Position) -> bool:
         """Whether two positions are of different sites, by their distance across the approach."""

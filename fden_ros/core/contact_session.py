@@ -49,6 +49,9 @@ class ContactSession:
         self.contact_count = 0  #: so far
         self._config, self._path_noise, self._flags = config, path_noise, flags
         self._sites = Sites(config, flags)
+        #: Contacts with a mass beyond the sensor, the newest such mass [kg]; contacts before which
+        #: the noise was smooth, and the longest time of such a filter [s].
+        self._inertial, self._mass, self._filters, self._filter_time = 0, 0.0, 0, 0.0
         self._detector = ContactDetector(config.contact, config.estimator.prior.fractional_order)
         self._tilt = Tilt(config.geometry)
         self._strokes = Strokes()
@@ -102,31 +105,31 @@ class ContactSession:
     def air_events(self) -> tuple[int, int, bool]:
         """As :func:`~fden_ros.core.input_warnings.input_warnings` expects them."""
         detector = self._detector
-        if detector.inertial:  # which makes the force rise and fall in the air
+        if self._inertial:  # whose inertia makes the force rise and fall in the air
             return 0, 0, detector.has_seen_air
         return detector.below_baseline, detector.drifts, detector.has_seen_air
 
     @property
     def warnings(self) -> dict[str, int]:
         """Problems of the contacts, in words, with counts."""
-        strokes, detector = self._strokes, self._detector
+        strokes = self._strokes
         inertia = (
-            f"the force follows the acceleration in the air: some {1e3 * detector.mass:.2g} g "
+            f"the force follows the acceleration in the air: some {1e3 * self._mass:.2g} g "
             "beyond the sensor (press slower)"
         )
         smooth = (
             "the force's noise in the air is smooth over some "
-            f"{written(1e3 * detector.filter_time, 2)} ms, as behind a filter, which "
+            f"{written(1e3 * self._filter_time, 2)} ms, as behind a filter, which "
             + (
                 "is too slow for G, Gn and N/m (switch it off, or read the force before it)"
-                if detector.filter_time > LONGEST_FILTER
+                if self._filter_time > LONGEST_FILTER
                 else "delays the force (measure the delay with fden configure and state "
                 "displacement.delay, or weaken the filter)"
             )
         )
         return {
-            inertia: detector.inertial,
-            smooth: detector.filters,
+            inertia: self._inertial,
+            smooth: self._filters,
             **self._common.plausibility.found,
             self._tilt.words: self._tilt.count,
             strokes.warning: 1,
@@ -189,6 +192,9 @@ class ContactSession:
         before, stamp_ns = self._sites.present, newest.stamp_ns
         yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         yield from self._lead(lambda contact: contact.judge(stamp_ns, before_ns=first.stamp_ns))
+        self._inertial, self._mass = self._inertial + (onset.mass > 0.0), onset.mass or self._mass
+        self._filters += onset.filter_time > 0.0
+        self._filter_time = max(self._filter_time, onset.filter_time)
         if onset.filter_time <= LONGEST_FILTER:
             late = onset.filter_time + min(self._config.synchronize.displacement_delay, 0.0)
             onset = onset._replace(filter_time=max(late, 0.0))

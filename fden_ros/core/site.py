@@ -113,12 +113,12 @@ class Site(Standing):
 
     def is_elsewhere(self, onset: Onset) -> bool | None:
         """Whether a touch is at another site; None: no positions, and after the timeout."""
-        first, contact = onset.samples[0], self._config.contact
+        first, config = onset.samples[0], self._config.site
         if (is_apart := self.whereabouts.is_apart(first.position)) is not None:
             return is_apart
-        if contact.without_position != "either":
-            return contact.without_position == "other"
-        is_late = self._seconds_to(first.stamp_ns) > contact.site_timeout
+        if config.without_position != "either":
+            return config.without_position == "other"
+        is_late = self._seconds_to(first.stamp_ns) > config.timeout
         return None if is_late else False
 
     @property

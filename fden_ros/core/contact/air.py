@@ -28,7 +28,7 @@ from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair, Position, Resolut
 
 @dataclass(frozen=True)
 class ContactConfig:
-    """When a contact begins and ends, and when it is at a new site."""
+    """When a contact begins and ends."""
 
     force_threshold: float = parameter(
         "force.threshold", 0.0, "Least force of a contact; 0: set by the noise.", "N", 0.0, 1000.0
@@ -47,29 +47,6 @@ class ContactConfig:
     #: The onset of a contact is searched for up to this time before its detection, or 24 times 3
     #: samples where those last longer [s].
     lookback: float = 5.0
-    site_distance: float = parameter(
-        "site.distance",
-        0.0,
-        "Sideways distance to a new site; 0: radius/5, 0.5 to 2 mm.",
-        "m",
-        0.0,
-        1.0,
-    )
-    site_timeout: float = parameter(
-        "site.timeout",
-        2.0,
-        "Without positions, a touch after this time may be at another site.",
-        "s",
-        0.0,
-        1e5,
-    )
-    without_position: str = parameter(
-        "site.without_position",
-        "either",
-        "Site of a touch without a position: the same, another, or either; then the data decide "
-        "after site.timeout.",
-        choices=("same", "other", "either"),
-    )
     series_compliance: float = parameter(
         "displacement.compliance",
         0.0,

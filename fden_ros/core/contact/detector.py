@@ -38,12 +38,11 @@ from fden_ros.core.contact.surface import (
 )
 from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair
 
-#: A rise of the force is a drift where a contact explains it better than a straight line in time
-#: by less than `LEAST_EVIDENCE`. A rise that may still grow is observed until this is a `SMALL`
-#: share of the evidence: the longer it lasts, the better it shows the surface. It is examined
-#: again when it has lasted longer by that share, or has fallen by half. It was a drift when it
-#: lasted for 2 chunks, is over, and a slow contact would have been found by then.
-_AMPLE_EVIDENCE = LEAST_EVIDENCE / SMALL
+# A rise of the force is a drift where a contact explains it better than a straight line in time by
+# less than `LEAST_EVIDENCE`. A rise that may still grow is observed until this is a `SMALL` share
+# of the evidence: the longer it lasts, the better it shows the surface. It is examined again when
+# it has lasted longer by that share, or has fallen by half. It was a drift when it
+# lasted for 2 chunks, is over, and a slow contact would have been found by then.
 #: A chunk is not the air's from 4 deviations of a sample on. Noise counts as coloured from 1.5
 #: times the white noise.
 _NO_AIR, _COLOUR = 4.0, 1.5
@@ -98,7 +97,6 @@ class _Rise:
     doubted_ns: int | None = None  #: when a drift first explained it as well
     doubted_chunks: int = 0  #: chunks above the threshold since then
     peak: float = 0.0  #: largest ratio to the threshold, since it fell last [1]
-    is_clear: bool = False  #: a chunk was clearly above
     is_doubted: bool = False  #: a drift explains it as well
     look_ns: int = 0  #: next examination
 
@@ -110,8 +108,8 @@ class _Press:
         self.onset, self._deepest = onset, onset.displacement
         self._least = _LOW * excess.threshold
         self._averaged = max(excess.scale, _RELEASE_CHUNKS)
-        self._newest: deque[tuple[Chunk, bool]] = deque()  # with whether the probe held at its end
-        self._behind_chunks, self._has_held = 0, False
+        self._newest: deque[Chunk] = deque()
+        self._behind_chunks = 0
         #: The probe has left, and the remaining force is drift of the sensor.
         self.is_behind = False
 
@@ -131,17 +129,15 @@ class _Press:
         if is_behind and (is_low or self._behind_chunks > 1):
             self.is_behind = not is_low
             return chunk.start_ns
-        newest, is_held = self._newest, deepest - depth < SLIGHT * deepest
-        newest.append((chunk, is_held))
+        newest = self._newest
+        newest.append(chunk)
         while len(newest) > self._averaged:
             newest.popleft()
-        # From a hold on, until the probe moves back, it is relaxation that lowers the force.
-        was_held = newest[max(len(newest) // 2 - 1, 0)][1]
-        self._has_held = is_held and (self._has_held or was_held)
-        size = sum(one.size for one, _ in newest)
-        mean = math.fsum(one.size * one.mean for one, _ in newest) / size
-        has_left = len(newest) == self._averaged and mean < level and not self._has_held
-        return newest[0][0].start_ns if has_left else None
+        mean = math.fsum(c.size * c.mean for c in newest) / sum(c.size for c in newest)
+        # Until the probe moves back it is relaxation that lowers the force.
+        has_retreated = deepest - depth >= SLIGHT * deepest
+        has_left = len(newest) == self._averaged and mean < level and has_retreated
+        return newest[0].start_ns if has_left else None
 
 
 class ContactDetector:
@@ -158,10 +154,6 @@ class ContactDetector:
         self.below_baseline = 0  #: times that the force fell clearly below its baseline
         self.drifts = 0  #: times that a rise of the force turned out to be a drift
         self.has_seen_air = False  #: whether a contact began or ended in the air
-        self.inertial = 0  #: contacts whose force holds the inertia of a mass beyond the sensor
-        self.mass = 0.0  #: of the newest of these [kg]
-        self.filters = 0  #: contacts before which the noise of the air was smooth
-        self.filter_time = 0.0  #: the longest of these [s]
         self.reset()
 
     def reset(self, *, keeps_contact: bool = False) -> None:
@@ -211,10 +203,8 @@ class ContactDetector:
         beyond_noise = max(self._config.force_threshold, _NO_AIR * noise)
         clear = max(beyond_noise, float(baseline.thresholds[0]))
         is_clear, is_over = above > clear, excess.ratio < _LOW * rise.peak
-        is_news = is_over or (is_clear and not rise.is_clear)
         rise.peak = max(rise.peak, excess.ratio)
-        rise.is_clear |= is_clear
-        if rise.peak > 1.0 and (is_news or chunk.end_ns >= rise.look_ns):
+        if rise.peak > 1.0 and (is_over or chunk.end_ns >= rise.look_ns):
             approach = self._approach_until(chunk.end_ns, noise, is_clear=is_clear)
             if self._is_contact(approach, chunk.end_ns, may_grow=not (is_clear or is_over)):
                 found = Excess(1.0, clear, 1) if is_clear else excess
@@ -250,9 +240,8 @@ class ContactDetector:
             # still too faint.
             rise.doubted_ns = rise.doubted_ns or now_ns
             rise.is_doubted = not may_grow or now_ns - rise.doubted_ns > SLOW_NS
-        if evidence < (_AMPLE_EVIDENCE if may_grow else LEAST_EVIDENCE):
-            return False
-        return approach.is_established(is_clear=not may_grow)
+        ample = LEAST_EVIDENCE / (SMALL if may_grow else 1.0)
+        return evidence >= ample and approach.is_established(is_clear=not may_grow)
 
     def _end_rise(self, now_ns: int, ratio: float) -> _Rise:
         """Drop a rise that is over, and count it as a drift if no contact followed."""
@@ -287,35 +276,30 @@ class ContactDetector:
         """Begin the contact of an approach; the baseline drops its samples."""
         baseline, pairs = self._baseline, self._samples
         onset_ns, is_measured = pairs[approach.first].stamp_ns, self._config.measure_bias
-        bias, drift = baseline.bias_at(pairs[-1].stamp_ns), baseline.drift
+        bias = baseline.bias_at(pairs[-1].stamp_ns)
         baseline.forget_since(onset_ns)
         level = baseline.level(bias, noise, onset_ns)
-        air_seen = approach.began_in_air(clear, self._config.site_timeout)
+        air_seen = bool(approach.force[0] < clear)
         # A probe that rested until the force rose may have pressed already: its bias would
         # hide the preload.
         came = not is_measured or approach.came_through_air()
-        if not self._has_released:
-            # Nor, before the first release, is it air where the force rises with the displacement.
-            if level.slope > 0.0:
-                came &= approach.rises_by_itself(drift, level.noise)
-            # Anything shorter may be a press as well as the air: of a record that began in a
-            # press of 0.1 N, 50 ms looked like air.
-            came &= not is_measured or onset_ns - pairs[0].stamp_ns > MIN_CHUNKS * CHUNK_NS
+        if not self._has_released and is_measured:
+            # Nor, before the first release, is it air where the force rises, as that of a tissue
+            # that is already pressed, or for so short a time: of a record that began in a press
+            # of 0.1 N, 50 ms looked like air.
+            lasted_ns = onset_ns - pairs[0].stamp_ns
+            came &= level.slope <= 0.0 and lasted_ns > MIN_CHUNKS * CHUNK_NS
         mass, inertia = approach.inertia(self._config.series_compliance)
-        if inertia > SLIGHT * float(approach.force[approach.first :].max()):
-            # Inertia hides the touch: the surface was found up to 5 mm too deep.
-            came, self.inertial, self.mass = False, self.inertial + 1, mass
-        else:
+        # Inertia hides the touch: the surface was found up to 5 mm too deep.
+        if inertia <= SLIGHT * float(approach.force[approach.first :].max()):
             mass = 0.0
-        seen = approach.first > 0 and air_seen and came
+        seen = approach.first > 0 and air_seen and came and not mass
         if not (seen or self._has_released):
             # There was no air yet in which the force could drift: the rise was this contact.
             self.drifts = 0
         self.has_seen_air |= seen
         resolution, until = baseline.resolution.step, 9 * approach.first // 10
         smooth = filter_time(approach.time[:until], approach.force[:until], resolution)
-        self.filters += smooth > 0.0
-        self.filter_time = max(smooth, self.filter_time)
         # A little before the onset, so that the memory begins with the air.
         first = max(approach.first - 2, 0) if seen else 0
         time, force = approach.time - approach.time[first], approach.force + (bias - level.value)
