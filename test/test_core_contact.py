@@ -17,8 +17,8 @@ from scipy.signal import lfilter
 from benchmark.trial import feed
 from fden_ros.core.air_after import AirAfter
 from fden_ros.core.contact import ContactConfig, ContactDetector, Onset, Release
-from fden_ros.core.contact.air import filter_time
 from fden_ros.core.contact.surface import find_surface
+from fden_ros.core.noise_filter import filter_time
 from fden_ros.core.streams import Pair, SynchronizeConfig, Synchronizer
 from simulation.scenario import Tissue, ramp_scenario
 from simulation.simulate import START_NS, simulate

@@ -12,10 +12,6 @@ from fden_ros.core.arrays import NOT_BY_CHANCE
 from fden_ros.core.contact import CHUNK_SAMPLES, SLOW_NS, Onset
 from fden_ros.core.streams import BRIEF_NS, NANOSECONDS, Pair
 
-#: The force is averaged from 0.2 s to 0.5 s after the probe has come back above the contact point
-#: [ns]: adhesion is over by then, and a creeping sensor has hardly recovered.
-_SETTLING_NS = 200_000_000
-
 
 class AirChange(NamedTuple):
     """The force in the air after a contact less that before it, extrapolated by its drift."""
@@ -41,7 +37,7 @@ class AirChange(NamedTuple):
 
 
 class AirAfter:
-    """Averages the force in the air behind the surface of a contact.
+    """Averages the force in the air behind the surface of a contact, from 0.25 to 0.5 s on.
 
     `drift_sd` is that of the force over one second in contact [N], as stated.
     """
@@ -76,7 +72,8 @@ class AirAfter:
             self._behind_ns = pair.stamp_ns
         elapsed_ns = pair.stamp_ns - self._behind_ns
         self._is_complete = elapsed_ns > BRIEF_NS
-        if _SETTLING_NS <= elapsed_ns <= BRIEF_NS:
+        # Adhesion is over by then, and a creeping sensor has hardly recovered.
+        if BRIEF_NS <= 2 * elapsed_ns <= 2 * BRIEF_NS:
             self._size += 1
             self._sum += pair.force
 

@@ -12,5 +12,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-#: Standard deviations beyond which a value does not differ by chance [1].
-NOT_BY_CHANCE = 5.0
+#: Standard deviations [1] within which a value lies with 95 %, beyond which it is clearly another,
+#: and beyond which it does not differ by chance, however many values are compared.
+LIKELY, CLEAR, NOT_BY_CHANCE = 2.0, 3.0, 5.0

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import BlockSums
 from fden_ros.core.config import PipelineConfig, labeller_of
-from fden_ros.core.contact import LONGEST_FILTER, ContactDetector, Onset, Release
+from fden_ros.core.contact import ContactDetector, Onset, Release
+from fden_ros.core.noise_filter import LONGEST_FILTER
 from fden_ros.core.outputs import (
     Flag,
     Output,

@@ -36,9 +36,8 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import InformationFilter
 
-from fden_ros.core.arrays import NOT_BY_CHANCE, Array
+from fden_ros.core.arrays import CLEAR, NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
-    EDGE,
     MOST_BLOCKS,
     NOTHING_UNKNOWN,
     CellInnovation,
@@ -398,7 +397,7 @@ class PaperFilter(Estimator):
             most = _MOST if is_few and not grid.is_outer[best] else math.inf
             root = np.zeros((3, 3))
             root[wide] = np.linalg.cholesky((vectors * np.clip(values, _LEAST, most)) @ vectors.T)
-            reach, centre = EDGE * self._sd, grid.centre + grid.axes @ middle
+            reach, centre = CLEAR * self._sd, grid.centre + grid.axes @ middle
             centre = np.clip(centre, self._mean - reach, self._mean + reach)
             self._lay(centre, _STEP * grid.axes @ root)
         self._restart()

@@ -14,12 +14,12 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fden_ros.core.arrays import NOT_BY_CHANCE
+from fden_ros.core.arrays import LIKELY, NOT_BY_CHANCE
 from fden_ros.core.contact import SMALL, Onset
 from fden_ros.core.estimation import Prior
 from fden_ros.core.law import FlatPunch, Geometry, elastic_response
 from fden_ros.core.parameter import TINY, parameter
-from fden_ros.core.streams import NANOSECONDS, USUAL_SAMPLES, StreamGuard
+from fden_ros.core.streams import BRIEF_NS, NANOSECONDS, USUAL_SAMPLES, StreamGuard
 from fden_ros.written import written
 
 
@@ -49,17 +49,16 @@ _MOST_SIZES = {
 }
 #: Area that stands for an unknown one [m^2]: the stress is in newtons.
 UNKNOWN_AREA = 1.0
-#: G lies within 5 standard deviations of its prior, or this factor where they are less ...
+#: G lies within 5 standard deviations of its prior, or this factor where they are less, for any Gn
+#: that is likely.
 _PRIOR_FACTOR = 30.0
-#: ... for any Gn within 2 standard deviations of its prior.
-_NONLINEAR_DEVIATIONS = 2.0
 #: A contact is judged before its end from this strain on, which a press usually has: below it the
 #: origin matters.
 _LEAST_STRAIN = 0.05
 #: A probe is tilted from this angle against the surface's normal [rad]; its cosine is 0.996.
 _TILTED = math.radians(5.0)
-#: Samples farther apart than this are slow; no force sensor has them closer than this [s].
-_SLOW_STEP, _FASTEST_STEP = 0.5, 5e-5
+#: No force sensor has samples closer than this [s].
+_FASTEST_STEP = 5e-5
 #: Likely values of a press, to choose a factor by: force [N], strain rate [1/s].
 _LIKELY_FORCE, _LIKELY_RATE = (0.02, 50.0), (0.01, 100.0)
 
@@ -208,7 +207,7 @@ class Plausibility:
             return ""
         self._judged_strain = strain
         least = self._config.least_strain_rate
-        if self._step < _SLOW_STEP or strain >= least * elapsed:
+        if self._step < BRIEF_NS / NANOSECONDS or strain >= least * elapsed:
             return ""
         suggested = _suggested(_TIMES, lambda f: strain / elapsed / f, *_LIKELY_RATE)
         return (
@@ -221,7 +220,7 @@ class Plausibility:
         if strain <= (0.0 if is_over else _LEAST_STRAIN) or stress <= 0.0:
             return ""
         prior, g = self._prior, self._prior.linear_stiffness
-        spread = _NONLINEAR_DEVIATIONS * prior.nonlinear_stiffness_log_sd
+        spread = LIKELY * prior.nonlinear_stiffness_log_sd
         middle = math.log(prior.nonlinear_stiffness)
         least, most = (
             math.log(stress / elastic_response(strain, g, math.exp(middle + one)).value)

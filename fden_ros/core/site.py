@@ -14,7 +14,7 @@ import numpy as np
 from fden_ros.core.arrays import Array
 from fden_ros.core.block import ContactSample, Means
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.contact import LONGEST_FILTER, Onset
+from fden_ros.core.contact import Onset
 from fden_ros.core.estimation import (
     Budget,
     Estimate,
@@ -30,6 +30,7 @@ from fden_ros.core.estimation import (
 )
 from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
 from fden_ros.core.lift_off import KnownTissue, LiftOff
+from fden_ros.core.noise_filter import LONGEST_FILTER
 from fden_ros.core.origin import begins_at_origin, found_sd, origin_of
 from fden_ros.core.outputs import Flag
 from fden_ros.core.standing import Standing

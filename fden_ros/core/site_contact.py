@@ -19,11 +19,12 @@ from fden_ros.core.site import Site
 from fden_ros.core.standing import SiteState
 from fden_ros.core.streams import NANOSECONDS, Pair
 
-#: Samples from before the detection of a touch are backfilled within about this time [s].
-_CATCH_UP_TIME = 0.03
-#: A summary is given this long after the release [ns]; meanwhile the estimator does a part of its
-#: last work each time that the second has passed, so that no sample waits for all of it.
-_SUMMARY_AFTER_NS, _SETTLE_EVERY_NS = 4 * NANOSECONDS // 10, 3 * NANOSECONDS // 100
+#: A summary is given this long after the release [ns].
+_SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
+#: So that no sample waits for all of a longer work, samples from before the detection of a touch
+#: are backfilled within about this time [ns], and the estimator does a part of its last work each
+#: time that it has passed since the release.
+_PART_NS = 3 * NANOSECONDS // 100
 
 
 class State(enum.Enum):
@@ -141,8 +142,7 @@ class Contact:
         common.plausibility.begin(self.onset)
         common.sums.restart(self.start_ns)
         # As many samples at a time that a touch delays no later sample for long.
-        lasted = (samples[-1].stamp_ns - self.start_ns) / NANOSECONDS
-        self._pace = 1 + math.ceil(lasted / _CATCH_UP_TIME)
+        self._pace = 1 + math.ceil((samples[-1].stamp_ns - self.start_ns) / _PART_NS)
         return self._backfill()
 
     def take(self, pair: Pair) -> Iterable[Output]:
@@ -265,7 +265,7 @@ class Contact:
 
     def hover(self, pair: Pair) -> Iterable[ContactSummary]:
         """Add a sample in the air; give a second summary once it contradicts the contact."""
-        if self.state is State.RELEASED and pair.stamp_ns - self._settled_ns >= _SETTLE_EVERY_NS:
+        if self.state is State.RELEASED and pair.stamp_ns - self._settled_ns >= _PART_NS:
             self._settled_ns = pair.stamp_ns
             self.site.settle()
         if self._air is None or self.state is State.CLOSED:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import CLEAR, LIKELY, Array
 from fden_ros.core.config import PipelineConfig
 from fden_ros.core.contact import SMALL
 from fden_ros.core.streams import NANOSECONDS, Pair
@@ -42,14 +42,8 @@ _QUARTER = 0.25
 _SPEED, _LEAST_FLAT = 0.8, 6
 #: Largest correlation of neighbouring residuals.
 _MOST_CORRELATED = 0.8
-#: Relative standard error from which on a window is wide enough; the window's change of force is
-#: clear from 3 deviations of the noise on.
-_FINE, _CLEAR = 0.02, 3.0
-#: From these deviations of its noise on, what a cubic changes counts in all wider windows, where
-#: it may vanish by chance.
-_CLEAR_BIAS = 2.0
-#: Loading ends where the probe slows down to this part of the speed at which the force rose.
-_SLOW = 0.5
+#: Relative standard error from which on a window is wide enough.
+_FINE = 0.02
 #: Standard deviation of white noise over the mean magnitude of its third differences.
 _THIRD_DIFFERENCE = math.sqrt(math.pi / 40.0)
 
@@ -133,7 +127,8 @@ class _Run:
         speeds = pieces[0] / np.maximum(pieces[1], 1.0 / NANOSECONDS)
         rises = pieces[6, :-1] - pieces[6, 1:]
         pace = float(rises @ speeds[:-1]) / max(float(rises.sum()), sys.float_info.min)
-        return pieces[:, int(np.argmax(speeds >= _SLOW * pace)) :]
+        # Loading ends where the probe slows down to half of the speed at which the force rose.
+        return pieces[:, int(np.argmax(speeds >= 0.5 * pace)) :]
 
 
 def _joined(a: Array, b: Array) -> Array:
@@ -178,11 +173,11 @@ def _window(columns: Array, place: float, noise: tuple[float, float], bias: floa
     own, unsure = (student**2 * slow * float(one**2 @ variances) for one in (line, bend))
     change, slope = abs(float(bend @ forces)), float(line @ forces)
     inertial = float(line @ inertia)
-    if change**2 > _CLEAR_BIAS**2 * unsure:
+    if change**2 > LIKELY**2 * unsure:  # by chance it may vanish in wider windows
         bias = max(bias, change)
     sd = math.sqrt(own + unsure + max(bias, change) ** 2 + inertial**2)
     slope -= inertial
-    is_known = _QUARTER * slope >= sd and slope * width >= _CLEAR * math.sqrt(variance)
+    is_known = _QUARTER * slope >= sd and slope * width >= CLEAR * math.sqrt(variance)
     return _Window(slope, sd, middle + place * half, width, curve, bias, is_known)
 
 
@@ -222,7 +217,7 @@ def _is_saturated(columns: Array, change: float) -> bool:
         end, before = columns[:, :count], columns[:, count : max(twice, count + _LEAST_FLAT)]
         if before.shape[1] >= _LEAST_FLAT and np.ptp(end[6]) > 1e-9 * np.abs(end[6]).max():
             (slope, error), (rise, rise_error) = _line(end), _line(before)
-            is_flat = abs(slope) + _CLEAR * error < _QUARTER * (rise - _CLEAR * rise_error)
+            is_flat = abs(slope) + CLEAR * error < _QUARTER * (rise - CLEAR * rise_error)
             pace = float(before[0].sum()) / max(float(before[1].sum()), sys.float_info.min)
             is_fast = widths[count - 1] > _SPEED * pace * times[count - 1]
             if is_flat and is_fast and rise * widths[count - 1] > SMALL * change:
@@ -240,7 +235,7 @@ def _best(
         found, count, bias = [], _PIECES, 0.0
         while count <= last:
             change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
-            is_wide = count == last or change >= max(least_change, _CLEAR * noise[0])
+            is_wide = count == last or change >= max(least_change, CLEAR * noise[0])
             if is_wide:
                 one = _window(columns[:, :count], place, noise, bias)
                 bias = one.bias

@@ -45,8 +45,6 @@ _NODES, _MOST_DEGREES = 24, 300.0
 #: The test takes directions in which the data know a specimen better than three times the spread
 #: of its class; others would only add noise.
 _LEAST_INFORMATION = 0.1
-#: A direction that decides is observable where the data leave less than this of its variance.
-_OBSERVABLE_SHARE = 0.25
 #: The data distinguish two classes where they favour one by odds of 20, in any direction.
 _SPEAKING_ODDS = 20.0
 
@@ -214,7 +212,8 @@ def _is_observable(
         spread = 0.5 * (own.covariance + other.covariance)
         direction = np.linalg.solve(spread, own.mean - other.mean)
         left = np.linalg.solve(np.eye(3) + spread @ likelihood.information, spread)
-        if direction @ left @ direction > _OBSERVABLE_SHARE * (direction @ spread @ direction):
+        # It is observable where the data leave less than half of its deviation.
+        if 4.0 * (direction @ left @ direction) > direction @ spread @ direction:
             return False
     return True
 

@@ -3,20 +3,13 @@
 
 """When and where the probe touched."""
 
-from fden_ros.core.contact.air import (
-    CHUNK_SAMPLES,
-    LEAST_SAMPLES,
-    LONGEST_FILTER,
-    SLOW_NS,
-    ContactConfig,
-)
+from fden_ros.core.contact.air import CHUNK_SAMPLES, LEAST_SAMPLES, SLOW_NS, ContactConfig
 from fden_ros.core.contact.detector import SLIGHT, ContactDetector, Onset, Release
 from fden_ros.core.contact.surface import SMALL
 
 __all__ = [
     "CHUNK_SAMPLES",
     "LEAST_SAMPLES",
-    "LONGEST_FILTER",
     "SLIGHT",
     "SLOW_NS",
     "SMALL",

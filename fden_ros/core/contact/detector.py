@@ -27,7 +27,6 @@ from fden_ros.core.contact.air import (
     Chunks,
     ContactConfig,
     Excess,
-    filter_time,
 )
 from fden_ros.core.contact.surface import (
     FIRST_WINDOW,
@@ -36,6 +35,7 @@ from fden_ros.core.contact.surface import (
     Approach,
     find_surface,
 )
+from fden_ros.core.noise_filter import filter_time
 from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair
 
 # A rise of the force is a drift where a contact explains it better than a straight line in time by

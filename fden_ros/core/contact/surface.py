@@ -38,8 +38,6 @@ _CANDIDATES = 40
 FIRST_WINDOW, _MIN_WINDOW_SAMPLES, _CONTACT_SHARE = 0.1, 24, 0.6
 #: Force, depth or time below this share of that detected is small.
 SMALL = 0.1
-#: A probe has moved by more than this many steps of its encoder.
-_ENCODER_STEPS = 2.0
 #: A rise must last for this time [s] from a tenth of its depth on: one half of a vibration of 5 Hz
 #: is then over. Or the probe has moved for as long before, at this share of its present speed, by
 #: steps of a chunk: then the swing of the force while it moves is known.
@@ -168,7 +166,8 @@ def _clear_way(displacement: Array, surface_sd: float = 0.0) -> float:
     steps = np.abs(np.diff(displacement))
     noise = float(np.median(np.abs(np.diff(displacement, n=2))))
     step = float(steps[steps > 0.0].min(initial=math.inf))
-    return max(NOT_BY_CHANCE * max(noise, surface_sd), _ENCODER_STEPS * step)
+    # Each of two places is rounded.
+    return max(NOT_BY_CHANCE * max(noise, surface_sd), 2.0 * step)
 
 
 def _last_way_in(

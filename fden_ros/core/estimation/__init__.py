@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fden_ros.core.estimation.claims import (
-    EDGE,
     Claims,
     Evidence,
     Reservations,
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
     from fden_ros.core.estimation.small_motion import log_stiffness, stress_ahead
 
 __all__ = [
-    "EDGE",
     "KEYS",
     "MOST_BLOCKS",
     "NOTHING_UNKNOWN",

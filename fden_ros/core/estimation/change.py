@@ -13,14 +13,15 @@ from __future__ import annotations
 import copy
 import math
 
+from fden_ros.core.arrays import LIKELY
 from fden_ros.core.estimation.cells import Press
 from fden_ros.core.estimation.face import CellInnovation
 from fden_ros.core.estimation.filter import Filter
 
-#: A block is explained within as many standard deviations, a change begins beyond these and lasts
-#: beyond the second [1]. Those of a grid that has not settled are too small: it begins at as many
-#: times as much [1].
-_DEVIATIONS, _LASTING, _UNSETTLED = 4.0, 2.0, 2.0
+#: A block is explained within as many standard deviations, a change begins beyond these [1], and
+#: lasts beyond what is likely. Those of a grid that has not settled are too small: it begins at as
+#: many times as much [1].
+_DEVIATIONS, _UNSETTLED = 4.0, 2.0
 #: A part of the largest stress that is smaller is an error of law or rig [1].
 _PART = 0.04
 #: The tissue has changed where as many blocks and for this time [s] all are off to one side.
@@ -70,7 +71,7 @@ class ChangeGate:
         if (trusted := self._trusted) is None or (own := trusted.compared(tail, stress)) is None:
             return None
         if self._count:
-            if own.innovation * self._side > _LASTING * math.sqrt(own.variance):
+            if own.innovation * self._side > LIKELY * math.sqrt(own.variance):
                 return own
             self._count, self.is_beyond = 0, False
             return None

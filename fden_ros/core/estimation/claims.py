@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fden_ros.core.arrays import Array
+from fden_ros.core.arrays import CLEAR, Array
 from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.estimation.mixture import widened
@@ -45,10 +45,6 @@ class Reservations(NamedTuple):
     variance_factor: float = 1.0  #: by which contradictions of the data widen the covariance
     is_withheld: bool = False  #: the units or the geometry cannot be right
     is_doubtful: bool = False  #: the newest data are not explained yet
-
-
-#: Standard deviations of the prior beyond which an estimate contradicts it [1].
-EDGE = 3.0
 
 
 def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
@@ -133,9 +129,9 @@ def _at_edge(config: EstimatorConfig, evidence: Evidence) -> ParameterSet:
     off = np.abs(evidence.mean - config.prior.mean)
     found = ParameterSet.NONE
     for parameter, distance, sd in zip(EACH, off, config.prior.deviations, strict=True):
-        if sd > 0.0 and distance > EDGE * sd:
+        if sd > 0.0 and distance > CLEAR * sd:
             found |= parameter
-    if evidence.order_beyond > EDGE:
+    if evidence.order_beyond > CLEAR:
         # No body relaxes like this: force and displacement may be out of step.
         found |= ParameterSet.FRACTIONAL_ORDER
     return found if not config.is_order_given else found & ~ParameterSet.FRACTIONAL_ORDER

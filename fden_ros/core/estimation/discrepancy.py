@@ -45,11 +45,12 @@ def _hats(places: Array, knots: Array) -> Array:
 _LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
 #: Weight of each knot of delta at each rate, then at slower and faster ones, (34, knots).
 KERNEL_HATS = _hats(-_LOG_RATES, KERNEL_KNOTS)
-_HALF = 0.5 * math.log(10.0)  #: of the distance of two knots
+_DECADE = math.log(10.0)  #: the distance of two knots
 #: The slopes of delta over ln t at each rate of the creep, by its knots, (33, knots).
 KERNEL_SLOPES: Array = (
-    _hats(_HALF - _LOG_RATES[:-1], KERNEL_KNOTS) - _hats(-_HALF - _LOG_RATES[:-1], KERNEL_KNOTS)
-) / (2.0 * _HALF)
+    _hats(0.5 * _DECADE - _LOG_RATES[:-1], KERNEL_KNOTS)
+    - _hats(-0.5 * _DECADE - _LOG_RATES[:-1], KERNEL_KNOTS)
+) / _DECADE
 
 
 def between_rates(log_rates: Array) -> Array:

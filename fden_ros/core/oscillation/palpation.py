@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import digamma
 
+from fden_ros.core.arrays import CLEAR, LIKELY
 from fden_ros.core.estimation import (
-    EDGE,
     Estimate,
     EstimatorConfig,
     ParameterSet,
@@ -35,8 +35,8 @@ from fden_ros.core.oscillation.local_stiffness import LocalStiffness, Stiffness
 from fden_ros.core.oscillation.palpation_frequency import PalpationFrequency
 
 #: An alpha by the phase above this counts as a lag [1]: published livers have 0.12 to 0.15,
-#: measured beef 0.32 in the median. Within two deviations a stated delay may be all of it.
-_LARGEST_ORDER, _STATED = 0.35, 2.0
+#: measured beef 0.32 in the median. What is likely of a stated delay may be all of it.
+_LARGEST_ORDER = 0.35
 #: Periods of a window, harmonics fitted with the trend, without which those of a nonlinear
 #: tissue pass for it, and for how many windows a result is current.
 _PERIODS, _HARMONICS, _CURRENT = 2, (1.0, 2.0), 2.5
@@ -88,8 +88,8 @@ def palpated(
     own_sd = math.sqrt(max(float(measured[1, 1]), 0.0))
     # Where alpha is given, only a lag is too much.
     variance = max(float(covariance[1, 1]), 0.0)
-    reach = math.inf if config.is_order_given else EDGE * math.sqrt(variance)
-    is_lag = own_order > max(_LARGEST_ORDER, _STATED * own_sd)
+    reach = math.inf if config.is_order_given else CLEAR * math.sqrt(variance)
+    is_lag = own_order > max(_LARGEST_ORDER, LIKELY * own_sd)
     is_tissue = own_order >= -reach and not is_lag
     estimate = _estimate(float(order), variance, config, samples, is_tissue)
     found = ApparentStiffness(apparent, sd, time_scale) if is_tissue else None

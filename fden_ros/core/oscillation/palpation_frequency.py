@@ -9,15 +9,12 @@ import math
 
 import numpy as np
 
-#: The displacement is resampled at steps of 1/32 s, over the last 8 s, and analysed twice a
-#: second.
-_RATE = 32.0
-_MOST, _EVERY = 256, 16
+#: The displacement is resampled at this rate [Hz].
+_RATE = 32
 #: Palpation is at most this fast [Hz], and has lasted for 3 periods, and 3 s.
 _FASTEST, _PERIODS = 5.0, 3.0
-#: Points of the spectrum, with zeros: steps of 1/64 Hz. The velocity of a palpation has this share
-#: of its power in one peak; another frequency is taken when it differs by this share.
-_POINTS, _LEAST_SHARE, _CHANGE = 2048, 0.5, 0.04
+#: Another frequency is taken when it differs by this share.
+_CHANGE = 0.04
 
 
 class PalpationFrequency:
@@ -25,22 +22,22 @@ class PalpationFrequency:
 
     def __init__(self) -> None:
         self.value: float | None = None  #: the frequency [Hz]; None while nothing oscillates
-        self._ring = np.zeros(_MOST)
+        self._ring = np.zeros(8 * _RATE)  # the last 8 s
         self._count = 0
         self._start: float | None = None
         self._time = self._displacement = 0.0
 
     def add(self, time: float, displacement: float) -> None:
         """Add a sample at a time [s]; times increase."""
-        if self._start is None or time - self._time > _MOST / _RATE:
+        if self._start is None or time - self._time > self._ring.size / _RATE:
             # No stored sample lies within the window before it.
             self.value, self._count, self._start = None, 0, time
         while (instant := self._start + self._count / _RATE) <= time:
             share = (instant - self._time) / (time - self._time) if self._count else 1.0
             step = displacement - self._displacement
-            self._ring[self._count % _MOST] = self._displacement + share * step
+            self._ring[self._count % self._ring.size] = self._displacement + share * step
             self._count += 1
-            if self._count >= _PERIODS * _RATE and self._count % _EVERY == 0:
+            if self._count >= _PERIODS * _RATE and self._count % (_RATE // 2) == 0:
                 self._look()
         self._time, self._displacement = time, displacement
 
@@ -51,16 +48,18 @@ class PalpationFrequency:
 
     def _dominant(self) -> float | None:
         """Return the frequency [Hz] that dominates the velocity; None: there is none."""
-        velocity = np.diff(np.roll(self._ring, -(self._count % _MOST))[-self._count :])
+        velocity = np.diff(np.roll(self._ring, -(self._count % self._ring.size))[-self._count :])
         velocity -= velocity.mean()
-        power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), _POINTS)) ** 2
-        step, own = _RATE / _POINTS, _POINTS / velocity.size
+        points = 8 * self._ring.size  # with zeros: in steps of 1/64 Hz
+        power = np.abs(np.fft.rfft(velocity * np.hanning(velocity.size), points)) ** 2
+        step, own = _RATE / points, points / velocity.size
         # The peak of a Hann window is 4 steps of its length wide.
         width, lowest = round(2.0 * own), math.ceil(_PERIODS * own)
         highest = math.floor(_FASTEST / step)
         peak = lowest + int(np.argmax(power[lowest : highest + 1]))
         near = power[max(peak - width, 0) : peak + width + 1].sum()
-        if not near > _LEAST_SHARE * power.sum() or peak in (lowest, highest):
+        # A palpation has more than half of the power in one peak.
+        if not near > 0.5 * power.sum() or peak in (lowest, highest):
             return None
         below, top, above = power[peak - 1 : peak + 2]
         return float(step * (peak + 0.5 * (below - above) / (below - 2.0 * top + above)))
