@@ -220,12 +220,12 @@ ROOMS = [
     "core.parameter", "core.streams", "core.law", "core.contact", "core.estimation",
     "core.paper_filter", "core.oscillation", "core.classification", "core.plausibility",
     "core.config", "core.stiffness", "core.outputs", "core.block", "core.lift_off",
-    "core.origin", "core.standing", "core.whereabouts", "core.site", "core.air_after",
-    "core.report", "core.site_contact", "core.sites", "core.strokes", "core.contact_session",
-    "core.continuous_session", "core.input_warnings", "core.pipeline", "core", "simulation",
-    "tissues", "message_kinds", "parameters", "inputs", "recording", "ros", "experiments",
-    "control", "tissue_feed", "offline", "arrays", "configure", "report", "nodes", "commands",
-    "cli",
+    "core.origin", "core.standing", "core.whereabouts", "core.site", "core.air_before",
+    "core.air_after", "core.report", "core.site_contact", "core.sites", "core.strokes",
+    "core.contact_session", "core.continuous_session", "core.input_warnings", "core.pipeline",
+    "core", "simulation", "tissues", "message_kinds", "parameters", "inputs", "recording", "ros",
+    "experiments", "control", "tissue_feed", "offline", "arrays", "configure", "report", "nodes",
+    "commands", "cli",
 ]  # fmt: skip
 
 
