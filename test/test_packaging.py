@@ -217,10 +217,10 @@ PACKAGE = Path(__file__).parent.parent / "fden_ros"
 #: Rooms in the order of the data: each imports only what stands above it here.
 ROOMS = [
     "advice", "errors", "one_thread", "progress", "shipped", "written", "core.arrays",
-    "core.parameter", "core.streams", "core.law", "core.contact", "core.estimation",
-    "core.paper_filter", "core.oscillation", "core.classification", "core.plausibility",
-    "core.config", "core.stiffness", "core.outputs", "core.block", "core.lift_off",
-    "core.origin", "core.standing", "core.whereabouts", "core.site", "core.air_before",
+    "core.parameter", "core.streams", "core.law", "core.noise_filter", "core.contact",
+    "core.estimation", "core.paper_filter", "core.oscillation", "core.classification",
+    "core.plausibility", "core.config", "core.stiffness", "core.outputs", "core.block",
+    "core.lift_off", "core.origin", "core.standing", "core.whereabouts", "core.site",
     "core.air_after", "core.report", "core.site_contact", "core.sites", "core.strokes",
     "core.contact_session", "core.continuous_session", "core.input_warnings", "core.pipeline",
     "core", "simulation", "tissues", "message_kinds", "parameters", "inputs", "recording", "ros",

@@ -123,14 +123,6 @@ class Chunks:
         return chunk
 
 
-class Excess(NamedTuple):
-    """The mean of the newest chunks at the scale where it exceeds the air most."""
-
-    ratio: float  #: of the mean above the bias to its threshold [1]
-    threshold: float  #: [N]
-    scale: int  #: chunks that are averaged
-
-
 class Air(NamedTuple):
     """The force without contact, at the end of some chunks."""
 
@@ -202,8 +194,11 @@ class Baseline:
         air = self._air if self.is_measured else None
         return air.value + air.slope * (stamp_ns - air.end_ns) / NANOSECONDS if air else 0.0
 
-    def excess(self, chunk: Chunk) -> Excess:
-        """Return how far the force up to a chunk that is not kept yet exceeds the air."""
+    def excess(self, chunk: Chunk) -> tuple[float, float]:
+        """Return by which ratio to its threshold a mean up to a chunk exceeds the air most.
+
+        The chunk is not kept yet. Also return that threshold [N].
+        """
         rises, size, total = [], 0, 0.0
         newest = islice(chain((chunk,), reversed(self._chunks)), SCALES[-1])
         for count, one in enumerate(newest, start=1):
@@ -219,7 +214,7 @@ class Baseline:
             sums = np.cumsum([0.0, *above])
             fall = -float((sums[scale:] - sums[:-scale]).min()) / scale
             limit = max(limit, _SWING_FACTOR * fall)
-        return Excess(rise / limit, limit, scale)
+        return rise / limit, limit
 
     def _measured(self, chunks: tuple[Chunk, ...]) -> Air:
         """Return the air of some chunks, and set the thresholds by it."""

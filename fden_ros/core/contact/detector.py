@@ -10,7 +10,6 @@ kept from before the detection, because a threshold alone places the contact poi
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,7 +25,6 @@ from fden_ros.core.contact.air import (
     Chunk,
     Chunks,
     ContactConfig,
-    Excess,
 )
 from fden_ros.core.contact.surface import (
     FIRST_WINDOW,
@@ -38,17 +36,12 @@ from fden_ros.core.contact.surface import (
 from fden_ros.core.noise_filter import filter_time
 from fden_ros.core.streams import CHUNK_NS, NANOSECONDS, Pair
 
-# A rise of the force is a drift where a contact explains it better than a straight line in time by
-# less than `LEAST_EVIDENCE`. A rise that may still grow is observed until this is a `SMALL` share
-# of the evidence: the longer it lasts, the better it shows the surface. It is examined again when
-# it has lasted longer by that share, or has fallen by half. It was a drift when it
-# lasted for 2 chunks, is over, and a slow contact would have been found by then.
 #: A chunk is not the air's from 4 deviations of a sample on. Noise counts as coloured from 1.5
 #: times the white noise.
 _NO_AIR, _COLOUR = 4.0, 1.5
 #: From half of a contact's threshold on, a slow one may have begun: the baseline is frozen. A
-#: contact ends when the mean over as many chunks as detected it, at least 2, is below it, ...
-_LOW, _RELEASE_CHUNKS = 0.5, 2
+#: contact ends when the mean of two chunks is below it and the probe has moved back, ...
+_LOW = 0.5
 #: ... or when the probe is behind the surface by this share of its deepest penetration.
 _RETREAT = 0.2
 #: Less than this share of the deepest penetration, or of the force detected, does not count. A
@@ -92,7 +85,14 @@ class Release(NamedTuple):
 
 @dataclass
 class _Rise:
-    """A rise of the force that may be a contact's."""
+    """A rise of the force that may be a contact's.
+
+    It is a drift where a contact explains it better than a straight line in time by less than
+    `LEAST_EVIDENCE`. A rise that may still grow is observed until this is a `SMALL` share of the
+    evidence: the longer it lasts, the better it shows the surface. It is examined again when it
+    has lasted longer by that share, or has fallen by half. It was a drift when it lasted for 2
+    chunks, is over, and a slow contact would have been found by then.
+    """
 
     doubted_ns: int | None = None  #: when a drift first explained it as well
     doubted_chunks: int = 0  #: chunks above the threshold since then
@@ -104,11 +104,10 @@ class _Rise:
 class _Press:
     """A contact until its end."""
 
-    def __init__(self, onset: Onset, excess: Excess) -> None:
+    def __init__(self, onset: Onset, threshold: float) -> None:
         self.onset, self._deepest = onset, onset.displacement
-        self._least = _LOW * excess.threshold
-        self._averaged = max(excess.scale, _RELEASE_CHUNKS)
-        self._newest: deque[Chunk] = deque()
+        self._least = _LOW * threshold
+        self._last: Chunk | None = None
         self._behind_chunks = 0
         #: The probe has left, and the remaining force is drift of the sensor.
         self.is_behind = False
@@ -120,7 +119,7 @@ class _Press:
         deepest = self._deepest - onset.displacement
         if chunk.mean - onset.bias > onset.clear_force:
             # However faint its beginning, single chunks have shown the contact now.
-            self._averaged, self._least = _RELEASE_CHUNKS, onset.release_force
+            self._least = onset.release_force
         level = onset.bias + self._least
         is_low = chunk.mean < level
         is_behind = depth < -_RETREAT * deepest
@@ -129,15 +128,11 @@ class _Press:
         if is_behind and (is_low or self._behind_chunks > 1):
             self.is_behind = not is_low
             return chunk.start_ns
-        newest = self._newest
-        newest.append(chunk)
-        while len(newest) > self._averaged:
-            newest.popleft()
-        mean = math.fsum(c.size * c.mean for c in newest) / sum(c.size for c in newest)
+        last, self._last = self._last or chunk, chunk
+        above = last.size * (last.mean - level) + chunk.size * (chunk.mean - level)
         # Until the probe moves back it is relaxation that lowers the force.
-        has_retreated = deepest - depth >= SLIGHT * deepest
-        has_left = len(newest) == self._averaged and mean < level and has_retreated
-        return newest[0].start_ns if has_left else None
+        has_left = above < 0.0 and deepest - depth >= SLIGHT * deepest
+        return last.start_ns if has_left else None
 
 
 class ContactDetector:
@@ -198,21 +193,20 @@ class ContactDetector:
         if air is None:
             baseline.keep(chunk)
             return None
-        noise, excess = air.white, baseline.excess(chunk)
+        noise, (ratio, limit) = air.white, baseline.excess(chunk)
         above = chunk.mean - baseline.bias_at(chunk.end_ns)
         beyond_noise = max(self._config.force_threshold, _NO_AIR * noise)
         clear = max(beyond_noise, float(baseline.thresholds[0]))
-        is_clear, is_over = above > clear, excess.ratio < _LOW * rise.peak
-        rise.peak = max(rise.peak, excess.ratio)
+        is_clear, is_over = above > clear, ratio < _LOW * rise.peak
+        rise.peak = max(rise.peak, ratio)
         if rise.peak > 1.0 and (is_over or chunk.end_ns >= rise.look_ns):
             approach = self._approach_until(chunk.end_ns, noise, is_clear=is_clear)
             if self._is_contact(approach, chunk.end_ns, may_grow=not (is_clear or is_over)):
-                found = Excess(1.0, clear, 1) if is_clear else excess
-                return self._begun(approach, noise, clear, found)
+                return self._begun(approach, noise, clear, clear if is_clear else limit)
         if is_over:
-            rise = self._end_rise(chunk.end_ns, excess.ratio)
-        rise.doubted_chunks += rise.doubted_ns is not None and excess.ratio >= 1.0
-        baseline.is_suspected = not rise.is_doubted and excess.ratio > _LOW
+            rise = self._end_rise(chunk.end_ns, ratio)
+        rise.doubted_chunks += rise.doubted_ns is not None and ratio >= 1.0
+        baseline.is_suspected = not rise.is_doubted and ratio > _LOW
         baseline.keep(chunk)
         is_below = baseline.is_measured and above < -beyond_noise
         self._below = self._below + 1 if is_below else 0
@@ -272,7 +266,7 @@ class ContactDetector:
         # A slow swing is neither independent from sample to sample nor seen in 0.1 s.
         return find_surface(time, force, displacement, self._order, noise, long)
 
-    def _begun(self, approach: Approach, noise: float, clear: float, excess: Excess) -> Onset:
+    def _begun(self, approach: Approach, noise: float, clear: float, limit: float) -> Onset:
         """Begin the contact of an approach; the baseline drops its samples."""
         baseline, pairs = self._baseline, self._samples
         onset_ns, is_measured = pairs[approach.first].stamp_ns, self._config.measure_bias
@@ -316,11 +310,11 @@ class ContactDetector:
             shows_surface=approach.shows_surface,
             seen=seen,
             air_seen=air_seen,
-            clear_force=max(clear, excess.threshold),
+            clear_force=max(clear, limit),
             filter_time=smooth,
             mass=mass,
         )
-        self._press = _Press(onset, excess)
+        self._press = _Press(onset, limit)
         pairs.clear()
         self._rise, self._below, baseline.is_suspected = _Rise(), 0, False
         return onset
