@@ -23,11 +23,11 @@ from fden_ros.parameters import read_parameter_file
 from simulation.simulate import Recording
 
 FORCE, DISPLACEMENT = 0, 1
-#: The paper's liver, for what was measured with it as the prior: the numbers, and by name.
-LIVER_FILE = Path(__file__).resolve().parents[1] / "config" / "priors" / "liver.yaml"
-_LIVER = read_parameter_file(LIVER_FILE)
-LIVER = _LIVER.core.estimator.prior
-LIVER_PARAMETERS = {k: v for k, v in _LIVER.as_dict().items() if k.startswith("prior.")}
+#: The paper's liver, for what was measured with it as the prior.
+_LIVER = Path(__file__).resolve().parents[1] / "config" / "priors" / "liver.yaml"
+LIVER_PARAMETERS = {
+    k: v for k, v in read_parameter_file(_LIVER).as_dict().items() if k.startswith("prior.")
+}
 
 
 def refusal(read: Callable[[Any], object], what: Any) -> str:
@@ -84,13 +84,9 @@ def of_columns(
     return pipeline, outputs
 
 
-def parameters_of(recording: Recording, *, given_origin: bool = False) -> dict[str, object]:
+def parameters_of(recording: Recording) -> dict[str, object]:
     """Return the identifier's parameters that fit a recording."""
-    parameters: dict[str, object] = dict(recording.truth["identifier_parameters"])
-    if given_origin:
-        parameters["origin.source"] = "given"
-        parameters["origin.displacement"] = recording.truth["surface_displacement_m"]
-    return parameters
+    return dict(recording.truth["identifier_parameters"])
 
 
 def summaries_of(outputs: Iterable[Output]) -> list[ContactSummary]:

@@ -216,15 +216,14 @@ def test_presses_of_tissue_tell_a_delay_by_their_bends(geometry, motions, delay,
         assert finding.deviation < 0.01
 
 
-def filtered(cutoff: float, seed: int = 0, order: int = 2) -> tuple[Streams, float]:
+def filtered(cutoff: float, seed: int = 0) -> tuple[Streams, float]:
     """Two presses whose force went through a low-pass; the delay of that [s]."""
     one = late(0.0, *[RampHold(0.3, 0.2, 2.0, 0.6)] * 2, seed=seed)
     rate = 1.0 / float(np.median(np.diff(one.force_times)))
     draw = np.random.default_rng(seed)
     noisy = one.force + 0.02 * draw.normal(size=one.force.shape)
-    passed = signal.lfilter(*signal.butter(order, cutoff, fs=rate), noisy, axis=0)
-    delay = {1: 1.0, 2: math.sqrt(2.0)}[order] / (2.0 * math.pi * cutoff)
-    return replace(one, force=passed), delay
+    passed = signal.lfilter(*signal.butter(2, cutoff, fs=rate), noisy, axis=0)
+    return replace(one, force=passed), math.sqrt(2.0) / (2.0 * math.pi * cutoff)
 
 
 @pytest.mark.parametrize("cutoff", first(5.0, 4.0, 10.0))

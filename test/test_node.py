@@ -12,7 +12,6 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -272,7 +271,6 @@ def test_the_node_goes_before_ordinary_processes_and_ends_cleanly_if_interrupted
 
 HAS_LAUNCH = all(importlib.util.find_spec(name) for name in ("launch_ros", "ros2launch"))
 needs_launch = pytest.mark.skipif(not HAS_LAUNCH, reason="ros2 launch is not to be had as a wheel")
-CLEANLY = "process has finished cleanly"
 
 
 def launched(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
@@ -295,10 +293,6 @@ def process_ids(namespace: str) -> list[int]:
     return found
 
 
-def is_up(ears: Ears, namespace: str) -> Callable[[], int]:
-    return lambda: ears.node.count_publishers(f"{namespace}/identifier/estimate")
-
-
 @needs_launch
 def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(tmp_path):
     path = tmp_path / "probe.yaml"
@@ -313,10 +307,11 @@ def test_a_wrong_parameter_file_starts_nothing_and_is_one_line(tmp_path):
 @needs_launch
 def test_ctrl_c_of_the_terminal_and_of_the_launch_file_ends_the_node_cleanly():
     with Ears() as ears, launched("namespace:=/launched") as launch:
-        ears.wait_for(is_up(ears, "/launched"), "the identifier")
+        topic = "/launched/identifier/estimate"
+        ears.wait_for(lambda: ears.node.count_publishers(topic), "the identifier")
         # A terminal sends it to the node too.
         for process_id in process_ids("/launched"):
             subprocess.run(["kill", "-INT", str(process_id)], check=False)
         launch.send_signal(signal.SIGINT)
-    assert CLEANLY in launch.output
+    assert "process has finished cleanly" in launch.output
     assert "process has died" not in launch.output and "Traceback" not in launch.output

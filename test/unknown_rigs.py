@@ -308,11 +308,6 @@ def _turned(vector: Array) -> Array:
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
-def sideways_of(into: Array) -> Array:
-    """Return two unit vectors (2, 3) perpendicular to one and to each other."""
-    return np.asarray(np.linalg.svd(into[None])[2][1:])
-
-
 def _tissue_force(truth: RigTruth, depth: Array, pressing: Array, draw: Generator) -> Array:
     """Return the force of the tissue at every step [N]; each press is one of fresh tissue."""
     breathing = truth.breathing * np.sin(
@@ -408,7 +403,8 @@ def _pose(
         position = (
             mount.origin
             + deep * mount.into
-            + sideways @ sideways_of(mount.into)
+            # Two unit vectors perpendicular to it and to each other.
+            + sideways @ np.linalg.svd(mount.into[None])[2][1:]
             + (facing - mount.facing) @ mount.lever
         )
         orientation = Rotation.from_matrix(facing).as_quat()
