@@ -74,6 +74,8 @@ bend | Gn is not observable: the strain reached {strain:.3f}, not clearly beyond
   1/Gn, about {boundary:.3f} | press to {depth} mm for Gn
 settled | the estimator has not settled, or another explanation is equally likely
   | press here again
+exact | estimator.kind ekf claims G and Gn only of a law and a rig that are stated to be exact
+  | state the zeros of config/bench.yaml and model_discrepancy.sd as 0, or leave estimator.kind out
 alpha | alpha is not determined by the data | hold for 2 s for alpha
 estimate | there is no estimate
 end | the contact was cut short, or data were lost

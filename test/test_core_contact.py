@@ -361,3 +361,13 @@ def test_white_noise_drift_rounding_and_hum_are_no_filter(rate):
     hum = white + 3.0 * np.sin(2.0 * np.pi * 12.3 * times)
     for forces in (white, white + walk, white + 5.0 * times, np.round(0.2 * white + times), hum):
         assert filter_time(times, forces, 0.0 if forces is white or forces is hum else 1.0) == 0.0
+
+
+@pytest.mark.parametrize(("floor", "is_seen"), [(1e-5, False), (1e-7, True)])
+def test_noise_below_its_floor_shows_no_filter(floor, is_seen):
+    rng, time = np.random.default_rng(6), np.arange(0.0, 6.0, 0.01)
+    way = np.interp(time, [3.0, 4.6, 5.0, 6.0], [-0.003, 0.005, 0.005, -0.003])
+    noise = lfilter([0.2], [1.0, -0.8], 6e-6 * rng.standard_normal(time.size))
+    pairs = made(300.0 * np.maximum(way, 0.0) + noise, way, 100.0)
+    onset = next(iter(detected(pairs, noise_floor=floor)[1].values()))
+    assert (onset.filter_time > 0.0) == is_seen

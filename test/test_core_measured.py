@@ -22,7 +22,13 @@ from scipy.signal import lfilter
 
 from fden_ros.core import Status
 from fden_ros.core.outputs import Flag, Output
-from fden_ros.core.stiffness import NOT_MEASURED, MeasuredSlope, MeasuredSlopes, Slopes
+from fden_ros.core.stiffness import (
+    NOT_MEASURED,
+    MeasuredSlope,
+    MeasuredSlopes,
+    Slopes,
+    _accelerations,
+)
 from fden_ros.core.streams import NANOSECONDS, Pair
 from fden_ros.offline.advice import shortfall
 from fden_ros.parameters import check, pipeline_config
@@ -264,6 +270,14 @@ def test_a_bend_that_narrower_windows_show_counts_in_wider_ones():
             assert abs(found.value - true) < 3.0 * found.sd
             known += 1
     assert known >= 4
+
+
+def test_two_pieces_at_one_time_have_no_acceleration_between_them():
+    columns = np.zeros((8, 10))
+    columns[0], columns[1], columns[2] = 1e-3, 0.1, np.repeat(np.arange(5.0), 2)
+    columns[0, 4:] = 2e-3
+    found = _accelerations(columns)
+    assert np.all(np.isfinite(found)) and found.max() == pytest.approx(0.5 * 0.01)
 
 
 def test_depth_in_a_dent_is_below_the_surface_of_the_first_touch():

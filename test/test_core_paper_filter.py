@@ -18,6 +18,8 @@ from property_helpers import counts, first
 from fden_ros.core.estimation import NOTHING_UNKNOWN, EstimatorConfig, Prior, Setting, Touch
 from fden_ros.core.law import PassThrough, TorsionalRheometer
 from fden_ros.core.paper_filter import PaperFilter, _Bank, _Block, _Grid
+from fden_ros.offline.advice import shortfall
+from fden_ros.parameters import check, pipeline_config
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
 from simulation.simulate import EXACT
@@ -194,6 +196,8 @@ def test_the_example_gives_its_tissue_where_law_and_rig_are_stated_to_be_exact(e
     found = [summary.estimate for summary in summaries_of(outputs) if summary.converged]
     if not exact:
         assert every and not found and not any(estimate.known for estimate in every)
+        config = pipeline_config(check(probe))
+        assert all("to be exact" in shortfall(one, config) for one in summaries_of(outputs))
     for tissue, estimate in zip(
         [(450.0, 9.0, 0.131), (700.0, 8.0, 0.131)], found, strict=bool(exact)
     ):

@@ -204,6 +204,16 @@ def _line(columns: Array) -> tuple[float, float]:
     return float(matrix[1] @ columns[6]), error
 
 
+def _accelerations(columns: Array) -> Array:
+    """Return the change of the speed along pieces, over time [m/s^2]."""
+    speeds = columns[0] / np.maximum(columns[1], 1.0 / NANOSECONDS)
+    steps = np.diff(columns[2])
+    changes = np.diff(speeds) / np.where(steps == 0.0, math.inf, steps)
+    around = np.pad(changes, 1, "edge")
+    mean: Array = 0.5 * (around[1:] + around[:-1])
+    return mean
+
+
 def _is_saturated(columns: Array, change: float) -> bool:
     """Whether the force stands still at the end of loading, from which the columns begin.
 
@@ -372,8 +382,7 @@ class MeasuredSlopes:
         # The relaxation left by a creeping probe in one direction is no loading.
         left = _QUARTER * self._change if run.sign == self._sign else 0.0
         least = max(SMALL * change, left)
-        speeds = columns[0] / np.maximum(columns[1], 1.0 / NANOSECONDS)
-        columns = np.vstack([columns, self._mass * np.gradient(speeds, columns[2])])
+        columns = np.vstack([columns, self._mass * _accelerations(columns)])
         noise = self._noise, self._slow_noise
         # Without a surface there is no depth, which tells that a slope is not that of the end.
         is_end_alone = math.isnan(self._surface) and not self._is_continuous

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from fden_ros.advice import FLAGS, LACKS, SOURCES, Advice
 from fden_ros.core.config import PipelineConfig
-from fden_ros.core.estimation import Budget, Estimate
+from fden_ros.core.estimation import Budget, Estimate, EstimatorKind
 from fden_ros.core.outputs import WITHHELD, ContactSummary, Flag
 from fden_ros.written import quantity, written
 
@@ -88,7 +88,8 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
     limits = config.estimator.converged_log_g_sd, config.estimator.converged_log_gn_sd
     poor = [k for k in (0, 1) if estimate.deviations[k] > limits[k]]
     if not poor:
-        return LACKS["settled"]
+        is_paper = config.estimator.kind is EstimatorKind.EKF
+        return LACKS["exact" if is_paper else "settled"]
     known = []
     for k in poor:
         sd = min(float(estimate.deviations[k]), 20.0)

@@ -292,8 +292,9 @@ class ContactDetector:
             # There was no air yet in which the force could drift: the rise was this contact.
             self.drifts = 0
         self.has_seen_air |= seen
-        resolution, until = baseline.resolution.step, 9 * approach.first // 10
-        smooth = filter_time(approach.time[:until], approach.force[:until], resolution)
+        least = max(baseline.resolution.step, self._config.noise_floor)
+        until = 9 * approach.first // 10
+        smooth = filter_time(approach.time[:until], approach.force[:until], least)
         # A little before the onset, so that the memory begins with the air.
         first = max(approach.first - 2, 0) if seen else 0
         time, force = approach.time - approach.time[first], approach.force + (bias - level.value)

@@ -234,7 +234,10 @@ def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
     if times.size > 2:
         steepness = np.diff(motion) / np.maximum(np.diff(times), 1e-9)
         bends[1:-1] = np.abs(np.diff(steepness))
-        speeds = np.where(slope_sd[block] > 0.0, speeds, np.gradient(motion, times))
+        # Two points of one time have none.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.gradient(motion, times)
+        speeds = np.where((slope_sd[block] > 0.0) | ~np.isfinite(found), speeds, found)
     # A sample alone knows its step from its neighbours.
     near, own = np.maximum(elapsed, np.append(elapsed[1:], 0.0)), step[block]
     steps = np.where(own > 0.0, np.minimum(own, near), near)
