@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -179,24 +180,15 @@ def tables(tmp_path_factory):
     return folder
 
 
-class Read:
-    """Stands where the inputs do."""
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-
-    def add(self, stream: str, value: float, received: int | None) -> None:
-        self.values.append(value)
-
-
 def test_a_backlog_is_worked_off_in_order_and_its_oldest_dropped_and_counted():
-    read, coming = Read(), [[(b"%d" % number, number) for number in range(30_000)]]
-    backlog = Backlog(read, is_restamped=False)
+    read, coming = [], [[(b"%d" % number, number) for number in range(30_000)]]
+    inputs = SimpleNamespace(add=lambda stream, value, received: read.append(value))
+    backlog = Backlog(inputs, is_restamped=False)
     backlog.add("force", lambda: coming.pop() if coming else [], float)
     backlog.work()
     while backlog.waiting:
         backlog.work()
     assert backlog.dropped["force"] == 10_000
-    assert read.values == list(range(10_000, 30_000))
+    assert read == list(range(10_000, 30_000))
     assert backlog.received["force"] == 20_000
     assert backlog.received_ns == 29_999

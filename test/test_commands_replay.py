@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_helpers import POSE, answer, fden
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from pipeline_helpers import begun
 from rosbags.highlevel import AnyReader
 
@@ -22,6 +22,7 @@ from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.reader import BagReader
 from fden_ros.recording.source import Selection
 from fden_ros.recording.writer import BagWriter
+from fden_ros.ros.messages import type_name
 from fden_ros.ros.status import PipelineProblems
 from simulation.bag import PARAMETER_FILE
 
@@ -51,24 +52,15 @@ def test_damaged_messages_are_counted_and_the_others_used(capsys, tmp_path):
     assert len(result["contacts"]) == 2
 
 
-def write_topics(folder: Path, *topics: tuple[str, str]) -> Path:
-    with BagWriter(folder) as bag:
-        for name, kind in topics:
-            package, _, short = kind.partition("/")
-            message = getattr(importlib.import_module(f"{package}.msg"), short)()
-            message.header.stamp.sec = 5
-            bag.add_topic(name, f"{package}/msg/{short}")
-            bag.write(name, message, 5 * 10**9)
-    return folder
-
-
 def test_several_sensible_topics_are_listed_in_one_line(capsys, tmp_path):
-    bag = write_topics(
-        tmp_path / "bag",
-        ("/left/wrench", "geometry_msgs/WrenchStamped"),
-        ("/right/wrench", "geometry_msgs/WrenchStamped"),
-        ("/pose", "geometry_msgs/PoseStamped"),
-    )
+    bag = tmp_path / "bag"
+    topics = {"/left/wrench": WrenchStamped, "/right/wrench": WrenchStamped, "/pose": PoseStamped}
+    with BagWriter(bag) as written_bag:
+        for name, kind in topics.items():
+            message = kind()
+            message.header.stamp.sec = 5
+            written_bag.add_topic(name, type_name(kind))
+            written_bag.write(name, message, 5 * 10**9)
     line = error_line(capsys, 1, "replay", bag)
     assert "/left/wrench" in line and "/right/wrench" in line and "--force-topic" in line
     line = error_line(capsys, 1, "replay", bag, "--force-topic", "/pose")

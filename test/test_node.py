@@ -244,13 +244,6 @@ def test_the_lifecycle_from_a_library_that_cannot_be_read_to_the_end():
         assert node.output.count(f": {words}") == count, words
 
 
-def signals_until_gone(process: subprocess.Popen[str], number: int) -> None:
-    """Send a signal again and again, as a terminal and a launch file both do."""
-    while process.poll() is None:
-        process.send_signal(number)
-        time.sleep(0.005)
-
-
 def test_the_node_goes_before_ordinary_processes_and_ends_cleanly_if_interrupted_often():
     with Bench() as bench, identifier({"autostart": True}) as node:
         bench.wait_until_connected()
@@ -258,7 +251,10 @@ def test_the_node_goes_before_ordinary_processes_and_ends_cleanly_if_interrupted
         threads = {int(t.name): t.joinpath("comm").read_text().strip() for t in tasks}
         own = [pid for pid, name in threads.items() if pid == node.pid or "dds" in name]
         found = {os.getpriority(os.PRIO_PROCESS, pid) for pid in own}
-        signals_until_gone(node, signal.SIGINT)
+        # As a terminal and a launch file both do.
+        while node.poll() is None:
+            node.send_signal(signal.SIGINT)
+            time.sleep(0.005)
     assert node.returncode == 0 and "Traceback" not in node.output
     # Only who may raise a priority everywhere gets it.
     if "no right" not in node.output:
