@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, gammaln, roots_genlaguerre
+from scipy.special import chdtrc, logsumexp, roots_genlaguerre, softmax
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import Prior
@@ -126,10 +126,10 @@ def likelihood_of(
     # Smaller ones, in units of the prior's, are rounding, and may be negative. A covariance that
     # was widened for a mismatch may exceed the prior's: no information.
     known = np.maximum(1.0 / np.maximum(variances, np.finfo(float).eps) - 1.0, 0.0)
-    slope = np.where(known > 0.0, _times(axes.T, (mean - prior.mean)[:used] / scale), 0.0)
+    slope = np.where(known > 0.0, axes.T @ ((mean - prior.mean)[:used] / scale), 0.0)
     score, information = np.zeros(3), np.zeros((3, 3))
-    score[:used] = _times(axes, slope) / scale
-    information[:used, :used] = np.einsum("ij,j,kj->ik", axes, known, axes) / scales
+    score[:used] = axes @ slope / scale
+    information[:used, :used] = (axes * known) @ axes.T / scales
     return Likelihood(mean, score, information)
 
 
@@ -156,24 +156,21 @@ def log_evidence(library: TissueLibrary, likelihood: Likelihood) -> tuple[Array,
 
 def posterior(library: TissueLibrary, evidence: Array) -> Array:
     """Return the probabilities of all classes from their log evidence, shape (k + 1,)."""
-    logs = evidence + np.log([one.prior for one in library.classes])
-    result: Array = np.exp(logs - logs.max())
-    return result / result.sum()
+    result: Array = softmax(evidence + np.log([one.prior for one in library.classes]))
+    return result
 
 
 def _of_class(tissue: Tissue, likelihood: Likelihood) -> tuple[float, float]:
     factor = np.linalg.cholesky(tissue.covariance)
     off = tissue.mean - likelihood.centre
-    pulled = _times(likelihood.information, off)
+    pulled = likelihood.information @ off
     known, axes = np.linalg.eigh(factor.T @ likelihood.information @ factor)
     known = np.maximum(known, 0.0)
-    slope = _times(axes.T, (likelihood.score - pulled) @ factor)
+    slope = axes.T @ factor.T @ (likelihood.score - pulled)
     nodes, weights = _mixture(tissue.degrees_of_freedom)
     squares, logs = slope**2 / (known + nodes[:, None]), np.log1p(known / nodes[:, None])
-    by_node = 0.5 * np.sum(squares - logs, axis=1)
-    largest = by_node.max()
-    total = np.log(np.exp(by_node - largest) @ weights) + largest
-    evidence = np.sum(off * (likelihood.score - 0.5 * pulled)) + total
+    total = logsumexp(0.5 * np.sum(squares - logs, axis=1), b=weights)
+    evidence = float(off @ (likelihood.score - 0.5 * pulled) + total)
     used = known > _LEAST_INFORMATION
     return evidence, _p_value(known[used], slope[used], nodes, weights)
 
@@ -194,7 +191,6 @@ def _mixture(degrees: float) -> tuple[Array, Array]:
         return np.ones(1), np.ones(1)
     shape = 0.5 * degrees
     roots, weights = roots_genlaguerre(_NODES, shape - 1.0)
-    weights = weights * math.exp(-float(gammaln(shape)))
     return roots / shape, weights / weights.sum()
 
 
@@ -216,8 +212,3 @@ def _is_observable(
         if 4.0 * (direction @ left @ direction) > direction @ spread @ direction:
             return False
     return True
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    result: Array = np.einsum("...ij,...j->...i", matrices, vectors)
-    return result

@@ -70,8 +70,7 @@ def compare(place: LogStiffness, around: LogStiffness) -> Comparison | None:
         mean = float(belongs / own @ values / (belongs / own).sum())
         excess = float(belongs @ ((values - mean) ** 2 - variances))
         natural = (excess + natural) / max(float(belongs.sum()), 1.0)  # the mean takes a degree
-    count = float(belongs.sum())
-    if count < LEAST_SURROUNDINGS - 1:
+    if (count := float(belongs.sum())) < LEAST_SURROUNDINGS - 1:
         return None
     weight = float((belongs / (max(natural, _LEAST_SD**2) + variances)).sum())
     error = math.sqrt(float(place.variance) + 1.0 / weight)

@@ -166,9 +166,7 @@ def _with_slope(results: list[ComplexModulus]) -> list[ComplexModulus]:
         return results
     place = np.log([one.angular_frequency for one in results])
     magnitude = np.hypot([one.storage for one in results], [one.loss for one in results])
-    weights = (magnitude / np.maximum([one.sd for one in results], 1e-12 * magnitude)) ** 2
-    place = place - weights @ place / weights.sum()
-    information = float(weights @ place**2)
-    slope = float(weights @ (place * np.log(magnitude))) / information
-    slope_sd = math.sqrt(1.0 / information)
+    known = magnitude / np.maximum([one.sd for one in results], 1e-12 * magnitude)
+    line, covariance = np.polyfit(place, np.log(magnitude), 1, w=known, cov="unscaled")
+    slope, slope_sd = float(line[0]), math.sqrt(covariance[0, 0])
     return [one._replace(slope=slope, slope_sd=slope_sd) for one in results]
