@@ -59,7 +59,6 @@ class Press:
     counts: Array  #: samples, (N,)
     stresses: Array  #: means [Pa], (N,)
     missed: Array  #: strain by which their two points miss the motion [1], (N,)
-    steps: Array  #: time between the samples there [s], (N,)
     start: float  #: time of its first point [s]
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
     #: of the first cells and points alone until it is :meth:`remembered`.
@@ -167,7 +166,6 @@ class Path(NamedTuple):
             counts=of_cell(block.samples),
             stresses=of_cell(block.stress),
             missed=of_cell(_CORNER * max(bends, default=0.0)),
-            steps=of_cell(max(step, 1e-4)),
             start=self.start,
             memory=_NO_MEMORY,
             earlier=self.indentations,
@@ -187,7 +185,7 @@ class Path(NamedTuple):
 
 _NO_MEMORY = np.zeros((RATE_COUNT + 2, 0, 0))
 _OF_POINTS = "times", "indentations", "speeds"
-_OF_CELLS = "middles", "durations", "counts", "stresses", "missed", "steps"
+_OF_CELLS = "middles", "durations", "counts", "stresses", "missed"
 
 
 def _seen_slope(slope: Array | float, slope_sd: Array | float, noise_sd: float) -> Array:
@@ -208,7 +206,6 @@ class _Rows:
     indentations: Array
     speeds: Array
     corners: Array  #: of the points [1]
-    steps: Array  #: between the samples about a point [s]
     first: Indices
     last: Indices
     durations: Array
@@ -243,7 +240,7 @@ def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
     steps = np.where(own > 0.0, np.minimum(own, near), near)
     at = np.flatnonzero(seen)
     return _Rows(
-        times, motion, speeds, bends * steps, steps, first[at], last[at],
+        times, motion, speeds, bends * steps, first[at], last[at],
         (duration + step)[at], count[at], stress[at],
     )  # fmt: skip
 
@@ -253,7 +250,7 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
 
     They are put together where stress and age of the motion change little, and never across one
     of its sharpest corners. The first rise tells where the contact point is, so that its logarithm
-    counts as much as all that comes later.
+    counts half as much as all changes of the stress.
     """
     m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
     if m <= most:
@@ -268,7 +265,7 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     measure = np.cumsum(change) / max(change.sum(), 1e-12) + 0.3 * np.arange(m) / m
     measure += np.cumsum(age) / max(age.sum(), 1e-12)
     rise = np.log(np.maximum.accumulate(np.maximum(rows.stresses, 0.0)) + _LOW * scale)
-    measure += (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
+    measure += 0.5 * (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
     cell = np.floor(measure / measure[-1] * (most - 1e-6)).astype(np.intp)
     begins = (np.diff(cell, prepend=cell[0]) > 0) | turns | np.append(False, turns[:-1])
     begins[0] = False
@@ -292,10 +289,6 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
     spread[spread < 1e-7] = 0.0
     ends = np.round(np.concatenate([middle - spread, middle + spread]), 7)
     grid = _points(rows, ends)
-    at = [
-        k + int(np.argmax(rows.corners[k:e]))
-        for k, e in zip(met, [*met[1:], times.size], strict=True)
-    ]
     size = middle.size
     bent = _CORNER * np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2))
     press = Press(
@@ -309,7 +302,6 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
         total,
         weights @ rows.stresses,
         np.hypot(bent, _missed(rows, weights, ends, noise_sd)),
-        weights @ np.maximum(rows.steps[at], 1e-4),
         float(grid[0]),
         _NO_MEMORY,
     )

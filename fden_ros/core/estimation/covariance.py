@@ -193,23 +193,21 @@ class Covariance:
 
     def _noise_of_cells(self) -> Array:
         place, linear = self.law.place, self.linear
-        durations, steps, missed, counts = (
-            place.joined(name) for name in ("durations", "steps", "missed", "counts")
-        )
-        return self.noise_of(
-            durations, steps, missed, counts, linear.gains, linear.steepest, linear.stresses
-        )
+        columns = linear.gains, linear.steepest, linear.stresses
+        each = [
+            self.noise_of(press, *(column[cells] for column in columns))
+            for press, cells in zip(place.presses, place.cell_slices, strict=True)
+        ]
+        return np.concatenate(each)
 
-    def noise_of(
-        self, durations: Array, steps: Array, missed: Array, counts: Array, gains: Array,
-        steepest: Array, stresses: Array,
-    ) -> Array:  # fmt: skip
-        """Return the variances of cells that are theirs alone [Pa^2]."""
-        theta = self.about.theta
-        fast = gains * self.law.relaxed(theta, np.maximum(durations, 1e-4))
-        off = missed * steepest * self.law.relaxed(theta, steps)
-        sample = self._noise.stress**2 + (fast * self._noise.indentation) ** 2
-        return np.asarray(sample / counts + off**2 + (_MISSED * stresses) ** 2)
+    def noise_of(self, press: Press, gains: Array, steepest: Array, stresses: Array) -> Array:
+        """Return the variances of the cells of a press that are theirs alone [Pa^2]."""
+        durations = np.maximum(press.durations, 1e-4)
+        widths = np.maximum(press.times[press.last] - press.times[press.first], durations)
+        fast, slow = (self.law.relaxed(self.about.theta, v) for v in (durations, widths))
+        sample = self._noise.stress**2 + (gains * fast * self._noise.indentation) ** 2
+        off = press.missed * steepest * slow
+        return np.asarray(sample / press.counts + off**2 + (_MISSED * stresses) ** 2)
 
     def at(self, scales: Scales) -> Array:
         """Return S, (N, N)."""

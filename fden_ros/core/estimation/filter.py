@@ -337,9 +337,7 @@ class Filter:
             column[KERNEL] = (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
         law.add_stress_columns(tail, total[:1], column[None])
         load, gain, steepest = of_cells(tail, drive)
-        noise = grid.covariance.noise_of(
-            tail.durations, tail.steps, tail.missed, tail.counts, gain, steepest, total[:1]
-        )
+        noise = grid.covariance.noise_of(tail, gain, steepest, total[:1])
         return self._row_of(tail, total[:k], total[k:], float(load[0]), float(gain[0]), noise)
 
     def _row_of(
