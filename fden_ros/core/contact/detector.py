@@ -270,7 +270,7 @@ class ContactDetector:
         """Begin the contact of an approach; the baseline drops its samples."""
         baseline, pairs = self._baseline, self._samples
         onset_ns, is_measured = pairs[approach.first].stamp_ns, self._config.measure_bias
-        bias = baseline.bias_at(pairs[-1].stamp_ns)
+        bias, drift = baseline.bias_at(pairs[-1].stamp_ns), baseline.drift
         baseline.forget_since(onset_ns)
         level = baseline.level(bias, noise, onset_ns)
         air_seen = bool(approach.force[0] < clear)
@@ -278,11 +278,11 @@ class ContactDetector:
         # hide the preload.
         came = not is_measured or approach.came_through_air()
         if not self._has_released and is_measured:
-            # Nor, before the first release, is it air where the force rises, as that of a tissue
-            # that is already pressed, or for so short a time: of a record that began in a press
-            # of 0.1 N, 50 ms looked like air.
-            lasted_ns = onset_ns - pairs[0].stamp_ns
-            came &= level.slope <= 0.0 and lasted_ns > MIN_CHUNKS * CHUNK_NS
+            # Nor, before the first release, is it air where the force rises with the displacement,
+            # as that of a tissue that is already pressed, or for so short a time: of a record
+            # that began in a press of 0.1 N, 50 ms looked like air.
+            came &= level.slope <= 0.0 or approach.rises_by_itself(drift, level.noise)
+            came &= onset_ns - pairs[0].stamp_ns > MIN_CHUNKS * CHUNK_NS
         mass, inertia = approach.inertia(self._config.series_compliance)
         # Inertia hides the touch: the surface was found up to 5 mm too deep.
         if inertia <= SLIGHT * float(approach.force[approach.first :].max()):

@@ -98,6 +98,20 @@ class Approach(NamedTuple):
             return 0.0, 0.0
         return mass, mass * float(np.abs(acceleration).max())
 
+    def rises_by_itself(self, drift: float, noise: float) -> bool:
+        """Whether time explains the force before the touch better than the displacement does.
+
+        Tissue that is already pressed would push more as the probe advances, and less at rest.
+        `drift` [N/s] was subtracted from the force, whose noise per sample is `noise` [N].
+        """
+        time, way = (values[: self.first] for values in (self.time, self.displacement))
+        force = self.force[: self.first] + drift * time
+        if way.size < 3 or np.ptp(way) == 0.0:
+            return False
+        by_time, by_way = (np.corrcoef(force, by)[0, 1] ** 2 for by in (time, way))
+        explained = float(by_time - by_way) * force.size * float(np.var(force))
+        return explained > LEAST_EVIDENCE * noise**2
+
     def is_established(self, *, is_clear: bool) -> bool:
         """Whether the present rise cannot be a swing of a force that the motion shakes.
 

@@ -39,8 +39,9 @@ _CORNERS, _TURNS = 12, 6
 _CORNER = 0.2
 #: What two points miss counts above as many standard deviations of the noise of the motion [1].
 _MISSED_DEVIATIONS = 2.0
-#: A stress below this part of the largest counts as none in the first rise [1].
-_LOW = 0.1
+#: What the first rise counts over all changes of the stress (from 0.3 to 1 long presses are known
+#: alike), and the part of the largest stress below which it has not begun [1].
+_FIRST_RISE, _LOW = 0.6, 0.1
 #: Nothing is left below this exponent [1]: exponentials that underflow take six times as long.
 _FORGOTTEN = -60.0
 
@@ -249,8 +250,8 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     """Return the cell of each observed block, at most some `most` cells.
 
     They are put together where stress and age of the motion change little, and never across one
-    of its sharpest corners. The first rise tells where the contact point is, so that its logarithm
-    counts half as much as all changes of the stress.
+    of its sharpest corners. The first rise tells where the contact point is: its logarithm counts,
+    however long the press lasts.
     """
     m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
     if m <= most:
@@ -265,7 +266,7 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     measure = np.cumsum(change) / max(change.sum(), 1e-12) + 0.3 * np.arange(m) / m
     measure += np.cumsum(age) / max(age.sum(), 1e-12)
     rise = np.log(np.maximum.accumulate(np.maximum(rows.stresses, 0.0)) + _LOW * scale)
-    measure += 0.5 * (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
+    measure += _FIRST_RISE * (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
     cell = np.floor(measure / measure[-1] * (most - 1e-6)).astype(np.intp)
     begins = (np.diff(cell, prepend=cell[0]) > 0) | turns | np.append(False, turns[:-1])
     begins[0] = False
