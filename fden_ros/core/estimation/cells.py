@@ -60,6 +60,7 @@ class Press:
     counts: Array  #: samples, (N,)
     stresses: Array  #: means [Pa], (N,)
     missed: Array  #: strain by which their two points miss the motion [1], (N,)
+    steps: Array  #: time between the samples there [s], (N,)
     start: float  #: time of its first point [s]
     #: What the rates remember, (RATE_COUNT + 2, N, n), the last two being slower and faster ones;
     #: of the first cells and points alone until it is :meth:`remembered`.
@@ -167,6 +168,7 @@ class Path(NamedTuple):
             counts=of_cell(block.samples),
             stresses=of_cell(block.stress),
             missed=of_cell(_CORNER * max(bends, default=0.0)),
+            steps=of_cell(max(step, 1e-4)),
             start=self.start,
             memory=_NO_MEMORY,
             earlier=self.indentations,
@@ -186,7 +188,7 @@ class Path(NamedTuple):
 
 _NO_MEMORY = np.zeros((RATE_COUNT + 2, 0, 0))
 _OF_POINTS = "times", "indentations", "speeds"
-_OF_CELLS = "middles", "durations", "counts", "stresses", "missed"
+_OF_CELLS = "middles", "durations", "counts", "stresses", "missed", "steps"
 
 
 def _seen_slope(slope: Array | float, slope_sd: Array | float, noise_sd: float) -> Array:
@@ -207,6 +209,7 @@ class _Rows:
     indentations: Array
     speeds: Array
     corners: Array  #: of the points [1]
+    steps: Array  #: between the samples about a point [s]
     first: Indices
     last: Indices
     durations: Array
@@ -241,7 +244,7 @@ def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
     steps = np.where(own > 0.0, np.minimum(own, near), near)
     at = np.flatnonzero(seen)
     return _Rows(
-        times, motion, speeds, bends * steps, first[at], last[at],
+        times, motion, speeds, bends * steps, steps, first[at], last[at],
         (duration + step)[at], count[at], stress[at],
     )  # fmt: skip
 
@@ -290,6 +293,10 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
     spread[spread < 1e-7] = 0.0
     ends = np.round(np.concatenate([middle - spread, middle + spread]), 7)
     grid = _points(rows, ends)
+    at = [
+        k + int(np.argmax(rows.corners[k:e]))
+        for k, e in zip(met, [*met[1:], times.size], strict=True)
+    ]
     size = middle.size
     bent = _CORNER * np.sqrt(weights**2 @ (corner**2 + np.append(0.0, corner[:-1]) ** 2))
     press = Press(
@@ -303,6 +310,7 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
         total,
         weights @ rows.stresses,
         np.hypot(bent, _missed(rows, weights, ends, noise_sd)),
+        weights @ np.maximum(rows.steps[at], 1e-4),
         float(grid[0]),
         _NO_MEMORY,
     )

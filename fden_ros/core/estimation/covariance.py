@@ -203,7 +203,7 @@ class Covariance:
     def noise_of(self, press: Press, gains: Array, steepest: Array, stresses: Array) -> Array:
         """Return the variances of the cells of a press that are theirs alone [Pa^2]."""
         durations = np.maximum(press.durations, 1e-4)
-        widths = np.maximum(press.times[press.last] - press.times[press.first], durations)
+        widths = np.maximum(press.times[press.last] - press.times[press.first], press.steps)
         fast, slow = (self.law.relaxed(self.about.theta, v) for v in (durations, widths))
         sample = self._noise.stress**2 + (gains * fast * self._noise.indentation) ** 2
         off = press.missed * steepest * slow
