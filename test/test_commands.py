@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import html
 import importlib
+import json
 import os
 import re
 import shutil
@@ -266,21 +268,81 @@ def test_text_from_the_recording_is_escaped(session):
     assert "<script>alert" not in text
 
 
-@pytest.mark.parametrize("kind", ["known", "withheld", "path"])
-def test_a_page_leads_with_the_stiffness(kind, session, bag):
+def _of_three(session: Session, *, is_withheld: bool) -> Session:
+    """Return a session of three contacts at one site; with nothing but the slope known."""
+    first = session.contacts[0]
+    assert first.summary is not None
+    nothing = {"estimate": None, "apparent_stiffness": None, "flags": Flag.MODEL_MISMATCH,
+               "converged": False, "classes": None} if is_withheld else {}  # fmt: skip
+    width = 2_000_000_000
+    times = [first.summary.start_ns + width * n for n in range(3)]
+    contacts = [
+        replace(first, contact_id=n + 1, summary=replace(
+            first.summary, contact_id=n + 1, start_ns=start, end_ns=start + width // 2, **nothing))
+        for n, start in enumerate(times)
+    ]  # fmt: skip
+    summaries = tuple(one.summary for one in contacts if one.summary is not None)
+    return replace(session, contacts=contacts, replay=replace(session.replay, summaries=summaries))
+
+
+CHROMIUM = shutil.which("chromium")
+#: Shows a page at several widths, and writes what does not fit into the title.
+_LOOK = """<body style="margin: 0"><iframe style="border: 0; height: 800px"></iframe><script>
+const frame = document.querySelector("iframe"), found = {};
+frame.onload = () => {
+  const page = frame.contentDocument, all = [...page.querySelectorAll("body *")];
+  for (const width of [400, 800, 1400]) {
+    frame.style.width = width + "px";
+    const wide = all.filter((one) => !one.closest("g, defs")
+      && (one.getBoundingClientRect().right > width + 1
+          || (one.scrollWidth > one.clientWidth + 1
+              && getComputedStyle(one).overflowX != "visible")));
+    const printed = [];
+    for (const picture of page.querySelectorAll("svg")) {
+      const texts = [...picture.querySelectorAll("text")];
+      const boxes = texts.map((one) => one.getBoundingClientRect());
+      boxes.forEach((a, n) => boxes.slice(n + 1).forEach((b) => {
+        const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+        const down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+        if (across > 2 && down > 0.4 * Math.min(a.height, b.height)) printed.push([across, down]);
+      }));
+    }
+    found[width] = {
+      wide: wide.map((one) => one.outerHTML.slice(0, 99)),
+      overprinted: printed.length,
+      bottom: page.querySelector(".lead strong").getBoundingClientRect().bottom,
+      lead: page.querySelector(".lead strong").textContent,
+    };
+  }
+  document.body.textContent = JSON.stringify(found);
+};
+frame.srcdoc = PAGE;
+</script>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+@pytest.mark.parametrize("kind", ["one", "three at one place", "withheld", "path"])
+def test_a_browser_shows_the_stiffness_first_and_all_of_the_page_at_any_width(
+    kind, session, bag, tmp_path
+):
     if kind == "path":
         session = gather(bag, read_parameter_file(bag / "identifier.yaml"))
-    if kind == "withheld":
-        nothing = {"estimate": None, "apparent_stiffness": None, "classes": None}
-        nothing |= {"flags": Flag.MODEL_MISMATCH, "converged": False}
-        summaries = tuple(replace(one.summary, **nothing) for one in session.contacts)
-        contacts = [
-            replace(one, summary=own) for one, own in zip(session.contacts, summaries, strict=True)
-        ]
-        made = replace(session.replay, summaries=summaries)
-        session = replace(session, contacts=contacts, replay=made)
-    lead = re.search(r'class="lead".*?<strong>(.*?)</strong>', page_of(session), re.DOTALL)
-    assert lead is not None and "N/m" in lead[1]
+    elif kind != "one":
+        session = _of_three(session, is_withheld=kind == "withheld")
+    path = tmp_path / "look.html"
+    source = json.dumps(page_of(session)).replace("</", "<\\/")
+    path.write_text(_LOOK.replace("PAGE", source), encoding="utf-8")
+    options = "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"
+    place = f"--user-data-dir={tmp_path / 'profile'}"
+    done = subprocess.run(
+        [str(CHROMIUM), *options, place, "--virtual-time-budget=9000", path.as_uri()],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    found = json.loads(html.unescape(re.sub(r"<[^>]*>", "", done.stdout)))
+    for shown in found.values():
+        assert shown["wide"] == []
+        assert shown["overprinted"] == 0
+        assert "N/m" in shown["lead"] and shown["bottom"] < 300
 
 
 def test_one_sentence_says_how_stiff_it_is_and_what_to_do_next(tmp_path):
