@@ -69,7 +69,7 @@ def points(cloud: Any) -> dict[str, np.ndarray]:
 
 
 def text_of(shown: Any, width: int) -> str:
-    """Return what a terminal of so many columns shows."""
+    """Return what a terminal shows, of this number of columns."""
     console = Console(width=width, record=True, file=io.StringIO())
     console.print(shown)
     return console.export_text()

@@ -71,7 +71,7 @@ class Row:
     moved: float = 0.0  #: by how much the stamps then differ from the shift's [s]
     third_site: bool = True  #: whether the third site is seen, whole
     also: Status = Status.CONVERGED  #: what else the status may be, until the probe is lifted
-    #: For so many blocks of 20 ms a number may be wrong before it is noticed: the table says it.
+    #: Number of blocks of 20 ms for which a number may be wrong before it is noticed.
     lies: int = 0
     parameters: dict[str, object] = field(default_factory=dict)
     fails: int = 0  #: how many exceptions the pipeline contained

@@ -216,6 +216,11 @@ class _Rows:
     counts: Array
     stresses: Array
 
+    @property
+    def middles(self) -> Array:
+        """The middle of each observed block [s], (m,)."""
+        return np.asarray(0.5 * (self.times[self.first] + self.times[self.last]))
+
 
 def _rows(blocks: Sequence[Block], noise_sd: float) -> _Rows:
     middle, spread, indentation, slope, slope_sd, step, duration, count, stress, seen = np.array(
@@ -256,7 +261,7 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     of its sharpest corners. The first rise tells where the contact point is: its logarithm counts,
     however long the press lasts.
     """
-    m, middles = rows.stresses.size, 0.5 * (rows.times[rows.first] + rows.times[rows.last])
+    m, middles = rows.stresses.size, rows.middles
     if m <= most:
         return np.arange(m)
     turns = np.zeros(m, dtype=bool)
@@ -287,7 +292,7 @@ def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:
     weights[group, np.arange(group.size)] = rows.counts
     total = weights.sum(axis=1)
     weights /= total[:, None]
-    middles, halves = 0.5 * (times[first] + times[last]), 0.5 * (times[last] - times[first])
+    middles, halves = rows.middles, 0.5 * (times[last] - times[first])
     middle = weights @ middles
     spread = np.sqrt(np.maximum(weights @ (middles**2 + halves**2) - middle**2, 0.0))
     spread[spread < 1e-7] = 0.0
@@ -329,7 +334,8 @@ def _missed(rows: _Rows, weights: Array, ends: Array, noise_sd: float) -> Array:
         Times of the first points of the cells, then of the last [s].
     """
     size, m = weights.shape
-    times, motion = (0.5 * (v[rows.first] + v[rows.last]) for v in (rows.times, rows.indentations))
+    times = rows.middles
+    motion = 0.5 * (rows.indentations[rows.first] + rows.indentations[rows.last])
     after = np.searchsorted(times, ends).clip(1, m - 1)
     share = np.clip((ends - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
     off, cell = weights.copy(), np.tile(np.arange(size), 2)
