@@ -69,7 +69,6 @@ setup(
             "flask-cors",  # of moto's server
             "hypothesis",
             "moto[s3]",
-            "mpmath",
             "pytest",
             "pytest-xdist",
             "ros-jazzy-domain-coordinator",
