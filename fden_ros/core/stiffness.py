@@ -13,12 +13,14 @@ If the end itself is not known, the slope is that in the middle of a window.
 
 from __future__ import annotations
 
+import bisect
 import math
 import sys
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.special import stdtrit
 
 from fden_ros.core.arrays import CLEAR, LIKELY, Array
@@ -87,18 +89,23 @@ class _Run:
 
     def _open(self, way: float, stamp_ns: int) -> None:
         self.open_way, self._open_ns = way, stamp_ns
-        self._sums, self._count = np.zeros(4), 0
+        self._way = self._square = self._cube = self._force = 0.0  # sums
+        self._count = 0
 
     def add(self, stamp_ns: int, way: float, force: float) -> None:
         """Add a sample."""
-        self._sums += (way, way * way, way**3, self.sign * force)
+        self._way += way
+        self._square += way * way
+        self._cube += way**3
+        self._force += self.sign * force
         self._count += 1
         width = self.length * math.floor((way - self.open_way) / self.length)
         if width <= 0.0:
             return
         duration = (stamp_ns - self._open_ns) / NANOSECONDS
         time = (stamp_ns - self.start_ns) / NANOSECONDS - 0.5 * duration
-        piece = np.array([width, duration, time, *self._sums / self._count, 1.0 / self._count])
+        sums = np.array([self._way, self._square, self._cube, self._force])
+        piece = np.array([width, duration, time, *sums / self._count, 1.0 / self._count])
         is_first = self.open_way == 0.0  # it may hold the rest, or the turn, from before
         self._open(self.open_way + width, stamp_ns)
         if is_first:
@@ -188,12 +195,13 @@ def _fitted(columns: Array, design: Array) -> tuple[Array, float]:
     """
     weights, forces, variances = columns[0], columns[6], columns[7]
     weighted = (weights[:, None] * design).T
-    matrix: Array = np.linalg.pinv(weighted @ design) @ weighted
+    k = design.shape[1]
+    room = 4 * k + weights.size
+    matrix: Array = lapack.dgelsy(weighted @ design, weighted, np.zeros(k), 1e-15, room)[1]
     left = (forces - design @ (matrix @ forces)) / np.sqrt(variances)
     total = max(float(left @ left), sys.float_info.min)
     correlated = min(max(float(left[1:] @ left[:-1]) / total, 0.0), _MOST_CORRELATED)
-    freedom = len(forces) - design.shape[1]
-    return matrix, total / freedom * (1.0 + correlated) / (1.0 - correlated)
+    return matrix, total / (len(forces) - k) * (1.0 + correlated) / (1.0 - correlated)
 
 
 def _line(columns: Array) -> tuple[float, float]:
@@ -240,11 +248,11 @@ def _best(
     columns: Array, places: tuple[float, ...], least_change: float, noise: tuple[float, float]
 ) -> _Window | None:
     """Return the slope at the first place of a window where it is known; None: at none."""
-    widths, last = np.cumsum(columns[0]), columns.shape[1]
+    widths, forces, last = np.cumsum(columns[0]).tolist(), columns[6].tolist(), columns.shape[1]
     for place in places:
         found, count, bias = [], _PIECES, 0.0
         while count <= last:
-            change = abs(float(columns[6, :3].mean() - columns[6, count - 3 : count].mean()))
+            change = abs(sum(forces[:3]) - sum(forces[count - 3 : count])) / 3.0
             is_wide = count == last or change >= max(least_change, CLEAR * noise[0])
             if is_wide:
                 one = _window(columns[:, :count], place, noise, bias)
@@ -252,7 +260,7 @@ def _best(
                 found += [one] * one.is_known
                 if place and one.is_known and one.sd <= _FINE * one.slope:
                     return one
-            wider = int(np.searchsorted(widths, _WIDER * widths[count - 1]))
+            wider = bisect.bisect_left(widths, _WIDER * widths[count - 1])
             count = last if count < last < wider else max(wider, count + 1)
         if found:
             return min(found, key=lambda one: one.sd)

@@ -333,6 +333,11 @@ class Grid:
         """The nodes along the axes of the box."""
         return places_in(self.law, self.start.box, self.nodes)
 
+    @functools.cached_property
+    def relaxations(self) -> Array:
+        """The relaxation of the nodes by its rates, (34, M)."""
+        return self.law.weights(self.nodes)
+
     @property
     def weights(self) -> Array:
         """Of the nodes, (M,)."""

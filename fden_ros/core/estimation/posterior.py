@@ -38,7 +38,7 @@ class Spot(NamedTuple):
 
     log_g: Array  #: (M,)
     contact_point: Array  #: (M,)
-    by_state: Array  #: of both, by the unknowns, (2, k, M)
+    by_state: Array  #: of both, by the unknowns, (2, k, M); at the first spot (2, 0, M)
     covariance: Array  #: of both, at each node, (2, 2, M)
 
 
@@ -79,11 +79,11 @@ class Posterior:
     def spot(self) -> Spot:
         """Where the newest press is: another spot has a G and a contact point of its own."""
         law, log_g, contact_point = self.grid.law, self.stiffness.log_g, self.nodes[:, -1]
-        by_state = np.zeros((2, law.size, log_g.size))
-        covariance = np.zeros((2, 2, log_g.size))
         if law.of_spot is None:
+            covariance = np.zeros((2, 2, log_g.size))
             covariance[0, 0] = self.stiffness.variance
-            return Spot(log_g, contact_point, by_state, covariance)
+            return Spot(log_g, contact_point, np.zeros((2, 0, log_g.size)), covariance)
+        by_state = np.zeros((2, law.size, log_g.size))
         at = list(law.of_spot)
         stiffness, contact_point_sd = (law.slots[k - RIG][0].sd for k in at)
         gain = np.maximum(1.0 + stiffness * self.states[at[0]], _LEAST_GAIN)

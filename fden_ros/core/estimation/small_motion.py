@@ -88,7 +88,7 @@ class SmallMotion:
             tau [s].
         """
         posterior, law = self.posterior, self.posterior.grid.law
-        nodes, state, spot = posterior.nodes, posterior.states, posterior.spot
+        state, spot = posterior.states, posterior.spot
         compliance, own = self._compliance, law.of_spot
         yielding = sum(sd * state[k] for k, sd in compliance)
         u = compression + self.shift - spot.contact_point - stress * yielding
@@ -98,7 +98,7 @@ class SmallMotion:
             row[k] -= stress * sd * (ahead - values) / _STEP
         if own is not None:
             row += spot.by_state[0] - spot.by_state[1] * (ahead - values) / _STEP
-        rates = law.weights(nodes) * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
+        rates = posterior.grid.relaxations[:, posterior.top] * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
         rates *= left_after(time_scale)[:, None]
         total = rates.sum(axis=0)
         row[KERNEL] = KERNEL_HATS.T @ (rates / total)
