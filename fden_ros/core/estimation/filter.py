@@ -132,6 +132,8 @@ class Filter:
         """
         grid, law = self.grid, self.grid.law
         self.scales, self._prior = scales, grid.covariance.prior(scales)
+        self._least = least_effective(law)
+        self._prior_of_log_g = prior_of_log_g(law)
         self.count, width = white.shape
         size = self.count + _ROOM
         self.lower = np.zeros((size, size), order="F")
@@ -175,7 +177,7 @@ class Filter:
         log = self.stiffness.log + grid.log_prior
         # Nodes too far apart for their posterior: one of them alone would seem to know it.
         own = cut(grid.law, grid.nodes, log)
-        self.weights, beta = tempered(own, least_effective(grid.law))
+        self.weights, beta = tempered(own, self._least)
         self.is_coarse = beta < 1.0
         self.has_width = have_width(grid.places, self.weights)
         self.log_evidence = log_evidence_of(grid.law, log)
@@ -186,7 +188,7 @@ class Filter:
         return float(log_sum(self._now.log + self.grid.log_prior))
 
     def _weighed(self, begin: Array | None) -> Stiffness:
-        found = of_stiffness(self._a, self._b, *prior_of_log_g(self.grid.law), begin)
+        found = of_stiffness(self._a, self._b, *self._prior_of_log_g, begin)
         return found._replace(log=found.log - self._rest)
 
     @property
@@ -310,11 +312,12 @@ class Filter:
         drive = law.drive(tail, self.stress_ahead(times), grid.linear.at, grid.linear.free)
         self.path = self.path.after(tail)
         driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
-        rises = np.diff(driven, axis=0, prepend=self._driven[None])
-        seconds = np.maximum(np.diff(times, prepend=newest), 1e-9)
+        rises = driven - np.concatenate([self._driven[None], driven[:-1]])
+        seconds = np.maximum(times - np.concatenate([[newest], times[:-1]]), 1e-9)
         y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)
         since = times[:, None] - times
         left = np.exp(np.multiply.outer(-RATES, np.where(since >= 0.0, since, np.inf)))
+        mean = np.full(times.size, 1.0 / times.size)
         # What is left of the rises, and of all before, at each point.
         into = left * (-np.expm1(-y) / y)[:, None, :]
         decay = left[:, :, 0] * np.exp(-y[:, :1])
@@ -325,9 +328,9 @@ class Filter:
         # A cell is the mean of the points that the tail has.
         rates = np.vstack(
             [
-                decay.mean(axis=1)[:, None] * before + into.mean(axis=1) @ rises,
-                driven.mean(axis=0),
-                (rises / seconds[:, None]).mean(axis=0),
+                (decay @ mean)[:, None] * before + mean @ into @ rises,
+                mean @ driven,
+                mean / seconds @ rises,
             ]
         )
         total = np.einsum("rc,rc->c", self._weights, rates)

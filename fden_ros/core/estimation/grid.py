@@ -258,16 +258,20 @@ def have_width(places: Array, weights: Array) -> bool:
     return bool(np.all(weights @ (off * off) > _LEAST_WIDTH**2))
 
 
-def product(box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
+def product(box: Box, counts: tuple[int, ...], reach: float) -> tuple[Array, float]:
     """Return the nodes of a product grid within a ball, and the log volume of a cell."""
-    axes, log_volume = [], 0.0
-    for k, count in enumerate(counts):
-        axes.append(np.linspace(-reach, reach, count) if count > 1 else np.zeros(1))
-        if count > 1:
-            log_volume += math.log((axes[-1][1] - axes[-1][0]) * box.lower[k, k])
+    z, steps = _product(counts, reach)
+    sides = steps * box.lower.diagonal()
+    return box.mean + z @ box.lower.T, float(np.log(sides[steps > 0.0]).sum())
+
+
+@functools.lru_cache(maxsize=16)
+def _product(counts: tuple[int, ...], reach: float) -> tuple[Array, Array]:
+    """Return the nodes of a product grid in the unit box, and their distances along its axes."""
+    axes = [np.linspace(-reach, reach, n) if n > 1 else np.zeros(1) for n in counts]
     z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
-    z = z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2]
-    return box.mean + z @ box.lower.T, log_volume
+    steps = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
+    return z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2], steps
 
 
 @dataclass(eq=False)
@@ -381,7 +385,7 @@ def log_prior_of(law: Law, nodes: Array) -> Array:
 
 
 def _nodes(law: Law, box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
-    own = [c if o else 1 for c, o in zip(counts, open_of(law), strict=True)]
+    own = tuple(c if o else 1 for c, o in zip(counts, open_of(law), strict=True))
     nodes, log_volume = product(box, own, reach)
     return nodes[law.inside(nodes)], log_volume
 
