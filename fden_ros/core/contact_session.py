@@ -219,6 +219,8 @@ class ContactSession:
             yield self._state(stamp_ns)
         if contact is not None and contact.is_due(stamp_ns):
             yield from self._lead(lambda contact: contact.summarize(stamp_ns))
+        if contact is not None:
+            contact.settle(stamp_ns)
 
     def _state(self, stamp_ns: int) -> TissueState:
         """Return the state in the air."""

@@ -305,6 +305,11 @@ class Site(Standing):
 
     # The end of a contact
 
+    def work(self) -> None:
+        """Do what the newest block has made due, once its state is published."""
+        if self._estimator is not None:
+            self._estimator.work()
+
     def settle(self) -> None:
         """Do a part of what the end of a contact takes."""
         if self._estimator is not None and self._is_pressed:

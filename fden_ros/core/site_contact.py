@@ -23,7 +23,7 @@ from fden_ros.core.streams import NANOSECONDS, Pair
 _SUMMARY_AFTER_NS = 4 * NANOSECONDS // 10
 #: So that no sample waits for all of a longer work, samples from before the detection of a touch
 #: are backfilled within about this time [ns], and the estimator does a part of its last work each
-#: time that it has passed since the release.
+#: time that half of it has passed since the release.
 _PART_NS = 3 * NANOSECONDS // 100
 
 
@@ -184,7 +184,12 @@ class Contact:
         results = self._account.close_block(
             pair.stamp_ns, block, learns=learns, is_silent=is_silent
         )
-        return itertools.chain(outputs, results)
+        return itertools.chain(outputs, results, () if is_silent else self._work())
+
+    def _work(self) -> Iterator[Output]:
+        """Let the estimator work; no output waits for it."""
+        self.site.work()
+        yield from ()
 
     def _pass(self, pair: Pair) -> Iterator[Output]:
         """Skip a sample of a contact in which the estimation failed."""
@@ -265,13 +270,16 @@ class Contact:
 
     def hover(self, pair: Pair) -> Iterable[ContactSummary]:
         """Add a sample in the air; give a second summary once it contradicts the contact."""
-        if self.state is State.RELEASED and pair.stamp_ns - self._settled_ns >= _PART_NS:
-            self._settled_ns = pair.stamp_ns
-            self.site.settle()
         if self._air is None or self.state is State.CLOSED:
             return ()
         self._air.average(pair)
         return self.judge(pair.stamp_ns) if self._air.is_due(pair.stamp_ns) else ()
+
+    def settle(self, stamp_ns: int) -> None:
+        """Let the estimator do a part of its last work, once no output waits."""
+        if self.state is State.RELEASED and stamp_ns - self._settled_ns >= _PART_NS // 2:
+            self._settled_ns = stamp_ns
+            self.site.settle()
 
     def judge(self, stamp_ns: int, *, before_ns: int | None = None) -> Iterator[ContactSummary]:
         """Judge the contact by the air after it; give a second summary if that contradicts it.

@@ -87,6 +87,7 @@ class GridEstimator(Estimator):
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
         self._block_at = self._round_at = 0.0  #: the newest block and round [s]
+        self._is_new = False  #: a block has come since the last work
         self._newest = self._prior()  #: estimate
         self._ending: Iterator[None] | None = None  #: the last rounds of a press
 
@@ -133,7 +134,7 @@ class GridEstimator(Estimator):
         on_tissue: Sequence[bool],
     ) -> Estimate:
         """Take samples of the press; see :meth:`~.estimation.Estimator.add`."""
-        is_new = False
+        has_block = False
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
             if self._touched_at + time < self._now:
                 continue  # the press before had it
@@ -142,11 +143,19 @@ class GridEstimator(Estimator):
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
                 for one in self._hypotheses
             ]
-            if any(done):
-                is_new = True
-                self._take_turns()
+            has_block |= any(done)
+        self._is_new |= has_block
         self._count += len(times)
-        return self.estimate() if is_new else self._as_before()
+        return self.estimate() if has_block else self._as_before()
+
+    def work(self) -> None:
+        """Lay the grids that the newest block has made due; see :meth:`~.Estimator.work`."""
+        if self._is_new:
+            self._is_new = False
+            # Those of one touch are gathered at the same block: evidences are of the same cells.
+            for one in self._hypotheses:
+                one.place.gather()
+            self._take_turns()
 
     def _take_turns(self) -> None:
         """Lay a round of the place that has waited for longest, at most one each 30 ms.
@@ -205,6 +214,7 @@ class GridEstimator(Estimator):
         next(self._ending, None)
 
     def _last_rounds(self) -> Iterator[None]:
+        self.work()
         for one in self._hypotheses:
             yield from one.place.release()
         self._hypotheses = self._possible(_ODDS)

@@ -96,6 +96,9 @@ class Estimator:
         """
         raise NotImplementedError
 
+    def work(self) -> None:
+        """Do what the newest block has made due, once its estimate is published."""
+
     def settle(self) -> None:
         """Do a part of what the release takes: the probe is off the tissue."""
 

@@ -212,11 +212,16 @@ class PlacePosterior:
             found = self.filter.append(tail)
             if found is not None:
                 self._see_innovation(found)
+
+    def gather(self) -> None:
+        """Lay the first grid of a press, and one of fewer cells where there are many."""
+        if (block := self._newest) is None or not block.is_observed:
+            return
+        if self._press is not None:
             is_due = self._cells >= _MOST
         else:
             is_due = self._blocks >= _LEAST_BLOCKS and block.middle - self._began >= _LEAST_TIME
-        # Those of one touch are gathered at the same block: evidences are of the same cells.
-        if is_due and block.is_observed:
+        if is_due:
             self.lay()
 
     def ask(self) -> bool:
@@ -360,6 +365,7 @@ class PlacePosterior:
             return
         for block in self._record.close():
             self._append(block)
+            self.gather()
         if self._press is not None:
             self.lay(most=_ENDED)
             yield

@@ -98,7 +98,8 @@ class SmallMotion:
             row[k] -= stress * sd * (ahead - values) / _STEP
         if own is not None:
             row += spot.by_state[0] - spot.by_state[1] * (ahead - values) / _STEP
-        rates = posterior.grid.relaxations[:, posterior.top] * np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
+        rates = np.exp(KERNEL_HATS @ np.clip(state[KERNEL], -8.0, 8.0))
+        rates *= posterior.grid.relaxations[:, posterior.top]
         rates *= left_after(time_scale)[:, None]
         total = rates.sum(axis=0)
         row[KERNEL] = KERNEL_HATS.T @ (rates / total)
