@@ -58,7 +58,9 @@ class Onset(NamedTuple):
     #: [m], compliance removed, and forces, less bias and drift [N]; shape (3, n).
     way: Array
     bias: float  #: of the force, already subtracted from the samples [N]
-    bias_sd: float  #: its standard deviation [N]
+    #: Its standard deviation [N]; that of a stated bias is the force with which a record begins,
+    #: since nothing tells for how long that had pressed.
+    bias_sd: float
     drift: float  #: of the force in the air, where it is significant [N/s]
     drift_sd: float  #: its standard deviation; 0 where there is no drift [N/s]
     noise_sd: float  #: of the force, per sample [N]
@@ -302,7 +304,7 @@ class ContactDetector:
             samples=tuple(pairs)[first:],
             way=np.array([time, approach.displacement, force])[:, :first],
             bias=level.value,
-            bias_sd=level.sd,
+            bias_sd=level.sd if air_seen or is_measured else abs(float(approach.force[0])),
             drift=level.slope,
             drift_sd=level.slope_sd,
             noise_sd=level.noise,

@@ -49,7 +49,7 @@ JITTER = 1e-9
 #: Sizes of the errors over the stated one: of delta with the logarithm of their prior, of epsilon,
 #: and of the roughness; of the surface's motion over the stated one: it may widen, never shrink.
 _KERNELS = ((0.001, -2.0), (0.1, -2.0), (1.0, 0.0), (2.0, 0.0), (4.0, -1.0))
-_CURVES = (0.001, 0.1, 0.5, 1.65, 5.0)
+_CURVES = (0.001, 0.1, 0.5, 1.0, 2.0)
 _ROUGHNESS = (0.0, 0.05, 0.15, 0.5)
 _MOTIONS = (1.0, 2.5)
 

@@ -94,11 +94,10 @@ def spline_places(last: float) -> Array:
     return _NEAR * last * np.expm1(middles * math.log1p(1.0 / _NEAR))
 
 
-def _root(places: Array, length: float, zero: Array) -> Array:
-    """Return R of the covariance R R^T of exp(-distance / length), given that zero @ it is 0."""
-    whole = np.exp(-np.abs(places[:, None] - places) / length)
+def _root(whole: Array, zero: Array) -> Array:
+    """Return R of a covariance R R^T of values at knots, given that zero @ these is 0."""
     with_zero = whole @ zero
-    whole -= np.outer(with_zero, with_zero) / float(zero @ with_zero)
+    whole = whole - np.outer(with_zero, with_zero) / float(zero @ with_zero)
     values, vectors = np.linalg.eigh(whole)
     kept = values > _NEGLIGIBLE * values[-1]
     root: Array = vectors[:, kept] * np.sqrt(values[kept])
@@ -111,7 +110,8 @@ def kernel_root(order: float) -> Array:
     # Beyond an order of 0.3 holds of beef were predicted to 0.61 % of the peak in place of 0.52 %.
     weights = relaxation_weights(min(order, 0.3))
     zero = (weights * left_after(1.0)) @ KERNEL_HATS
-    return _root(KERNEL_KNOTS, _KERNEL_LENGTH, zero / zero.sum())
+    apart = np.abs(KERNEL_KNOTS[:, None] - KERNEL_KNOTS) / _KERNEL_LENGTH
+    return _root(np.exp(-apart), zero / zero.sum())
 
 
 @functools.lru_cache(maxsize=16)
@@ -119,7 +119,10 @@ def curve_root(nonlinear_stiffness: float, last: float) -> Array:
     """Return a root of epsilon's covariance at a standard deviation of 1, (22, r)."""
     places = np.log(phi(spline_places(last), 1.0, nonlinear_stiffness) + STRAIN_FLOOR)
     at_zero = splines(np.array([_REFERENCE_STRAIN]), last)[0]
-    return _root(places, _CURVE_LENGTH, at_zero)
+    # Smooth (Matern 3/2): the roughness is an error of its own. With exp(-apart) a ramp of
+    # beef seemed to know alpha to 0.02, and wrong.
+    apart = math.sqrt(3.0) * np.abs(places[:, None] - places) / _CURVE_LENGTH
+    return _root((1.0 + apart) * np.exp(-apart), at_zero)
 
 
 def kernel_change(kernel_sd: float, way: float) -> float:
