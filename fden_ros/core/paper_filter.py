@@ -43,7 +43,6 @@ from fden_ros.core.estimation import (
     CellInnovation,
     Estimate,
     Estimator,
-    Evidence,
     Setting,
     Touch,
     claims_of,
@@ -418,7 +417,7 @@ class PaperFilter(Estimator):
         beyond = float(found.weights @ (grid.strains(np.array(self._deepest)) * grid.gn > 1.0))
         is_sound = self._is_exact and self._is_settled and not self.is_mismatch
         is_sound &= self._contact_count < 2
-        claims = claims_of(config, Evidence(mean[:3], deviations[:3], beyond, is_sound))
+        claims = claims_of(config, mean[:3], deviations[:3], beyond, is_solved=is_sound)
         return Estimate(
             log_linear_stiffness=float(mean[0]),
             log_nonlinear_stiffness=float(mean[1]),
@@ -427,9 +426,7 @@ class PaperFilter(Estimator):
             contact_point=float(mean[3]),
             contact_point_sd=float(deviations[3]),
             probability_beyond_boundary=beyond,
-            observable=claims.observable,
-            known=claims.known,
-            at_edge=claims.at_edge,
+            **claims._asdict(),
             sample_count=self._sample_count,
             with_origin=tuple(covariance[3, :3].tolist()),
         )

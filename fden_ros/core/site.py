@@ -22,10 +22,9 @@ from fden_ros.core.estimation import (
     EstimatorKind,
     GridEstimator,
     Innovation,
-    Reservations,
+    ParameterSet,
     Setting,
     Touch,
-    reserved,
     stress_ahead,
 )
 from fden_ros.core.law import SHORTEST_STEP, StressMemory, memory_weights
@@ -95,7 +94,7 @@ class Site(Standing):
         estimate = self.usable_estimate
         if estimate is None or not self.is_doubtful:
             return estimate
-        return reserved(self._config.estimator, estimate, Reservations(is_doubtful=True))
+        return estimate._replace(known=ParameterSet.NONE)
 
     @property
     def is_mismatch(self) -> bool:

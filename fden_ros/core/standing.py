@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import enum
 
-from fden_ros.core.estimation import Estimate, EstimatorConfig, Reservations, reserved
+from fden_ros.core.estimation import Estimate, EstimatorConfig, ParameterSet, widened
 from fden_ros.core.outputs import WITHHELD, Flag
 
 
@@ -42,11 +42,12 @@ class Standing:
 
     def find(self, own: Estimate | None) -> None:
         """Set the newest estimate of the data alone."""
-        self._own = self.estimate = own
-        if own is not None:
-            is_withheld = bool(self.flags & WITHHELD)
-            found = Reservations(variance_factor=self._variance_factor, is_withheld=is_withheld)
-            self.estimate = reserved(self._estimator_config, own, found)
+        self._own = found = own
+        if found is not None and self._variance_factor != 1.0:
+            found = widened(self._estimator_config, found, self._variance_factor)
+        if found is not None and self.flags & WITHHELD:
+            found = found._replace(known=ParameterSet.NONE)
+        self.estimate = found
 
     def doubt(self, flag: Flag, variance_factor: float = 1.0) -> None:
         """Apply a contradiction: raise a flag and widen the covariance by a factor."""

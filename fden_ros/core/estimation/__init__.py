@@ -12,22 +12,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fden_ros.core.estimation.claims import (
-    Claims,
-    Evidence,
-    Reservations,
     claims_of,
     converged,
     determined,
-    reserved,
+    widened,
 )
 from fden_ros.core.estimation.estimate import (
     KEYS,
     PUBLISHED,
     Budget,
+    Component,
     Estimate,
     LawError,
     ParameterSet,
     StateIndex,
+    moments,
 )
 from fden_ros.core.estimation.estimator_config import (
     NOTHING_UNKNOWN,
@@ -37,7 +36,6 @@ from fden_ros.core.estimation.estimator_config import (
     Uncertainty,
 )
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Innovation, Setting, Touch
-from fden_ros.core.estimation.mixture import Component, moments
 
 if TYPE_CHECKING:
     from fden_ros.core.estimation.discrepancy import kernel_change
@@ -52,19 +50,16 @@ __all__ = [
     "PUBLISHED",
     "Budget",
     "CellInnovation",
-    "Claims",
     "Component",
     "Estimate",
     "Estimator",
     "EstimatorConfig",
     "EstimatorKind",
-    "Evidence",
     "GridEstimator",
     "Innovation",
     "LawError",
     "ParameterSet",
     "Prior",
-    "Reservations",
     "Setting",
     "StateIndex",
     "Touch",
@@ -75,8 +70,8 @@ __all__ = [
     "kernel_change",
     "log_stiffness",
     "moments",
-    "reserved",
     "stress_ahead",
+    "widened",
 ]
 
 _LATER = {

@@ -3,8 +3,7 @@
 
 """What is claimed of an estimate: pure functions from what is known to what is said.
 
-Reasons are asked in order; each takes some parameters away. Nothing else does. `claims_of` has
-those of the estimate's own data, `reserved` those of the touch, the rig and the units.
+`claims_of` rests on the estimate's own data; touch, rig and units may take more away.
 """
 
 from __future__ import annotations
@@ -15,20 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fden_ros.core.arrays import CLEAR, Array
-from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet
+from fden_ros.core.estimation.estimate import EACH, Estimate, ParameterSet, inflated
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
-from fden_ros.core.estimation.mixture import widened
-
-
-class Evidence(NamedTuple):
-    """What claims rest on."""
-
-    mean: Array  #: of (ln G, ln Gn, alpha), shape (3,)
-    deviations: Array  #: standard deviations of these, shape (3,)
-    probability_beyond_boundary: float  #: P(largest strain > 1/Gn) [1]
-    is_solved: bool  #: the grid is settled
-    is_order_contradicted: bool = False  #: the relaxation is that of another alpha than is stated
-    order_beyond: float = 0.0  #: standard deviations by which alpha wants beyond 0, or the highest
 
 
 class Claims(NamedTuple):
@@ -39,47 +26,49 @@ class Claims(NamedTuple):
     at_edge: ParameterSet  #: what lies at an end of what the prior allows
 
 
-class Reservations(NamedTuple):
-    """What stands against an estimate beside its own data."""
+def claims_of(
+    config: EstimatorConfig,
+    mean: Array,
+    deviations: Array,
+    probability_beyond_boundary: float,
+    *,
+    is_solved: bool,
+    is_order_contradicted: bool = False,
+) -> Claims:
+    """Return what is valid, known and at an edge.
 
-    variance_factor: float = 1.0  #: by which contradictions of the data widen the covariance
-    is_withheld: bool = False  #: the units or the geometry cannot be right
-    is_doubtful: bool = False  #: the newest data are not explained yet
-
-
-def claims_of(config: EstimatorConfig, evidence: Evidence) -> Claims:
-    """Return what is valid, known and at an edge."""
-    at_edge = _at_edge(config, evidence)
-    valid = determined(config, evidence.deviations, evidence.probability_beyond_boundary)
-    known = converged(config, evidence.deviations, valid)
-    reasons = (
-        (bool(at_edge), ParameterSet.ALL),
-        (not evidence.is_solved, ParameterSet.ALL),
-        (evidence.is_order_contradicted, ParameterSet.FRACTIONAL_ORDER),
-    )
-    for holds, unknown in reasons:
-        if holds:
-            known &= ~unknown
+    Parameters
+    ----------
+    mean, deviations : ndarray, shape (3,)
+        Of (ln G, ln Gn, alpha), and their standard deviations [1].
+    probability_beyond_boundary : float
+        P(largest strain > 1/Gn) [1].
+    is_solved : bool
+        The grid is settled.
+    is_order_contradicted : bool
+        The relaxation is that of another alpha than is stated.
+    """
+    at_edge = _at_edge(config, mean)
+    valid = determined(config, deviations, probability_beyond_boundary)
+    known = converged(config, deviations, valid)
+    if at_edge or not is_solved:
+        known = ParameterSet.NONE
+    if is_order_contradicted:
+        known &= ~ParameterSet.FRACTIONAL_ORDER
     return Claims(valid, known, at_edge)
 
 
-def reserved(config: EstimatorConfig, estimate: Estimate, reservations: Reservations) -> Estimate:
-    """Return an estimate of which no more is claimed than some reservations leave."""
-    if reservations.variance_factor != 1.0:
-        estimate = _widened(config, estimate, reservations.variance_factor)
-    if reservations.is_withheld or reservations.is_doubtful:
-        estimate = estimate._replace(known=ParameterSet.NONE)
-    return estimate
+def widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Estimate:
+    """Return an estimate with a covariance that is `factor` times as large.
 
-
-def _widened(config: EstimatorConfig, estimate: Estimate, factor: float) -> Estimate:
-    """Widen the covariance: what is still sharp enough stays known."""
+    What is still sharp enough stays known.
+    """
     log_g, log_gn, order = estimate.with_origin
     wide = estimate._replace(
         covariance=factor * estimate.covariance,
         with_origin=(factor * log_g, factor * log_gn, factor * order),
         contact_point_sd=math.sqrt(factor) * estimate.contact_point_sd,
-        components=widened(estimate.components, factor) if estimate.components else (),
+        components=inflated(estimate.components, factor) if estimate.components else (),
         small_motions=tuple(motion.widened(factor) for motion in estimate.small_motions),
     )
     return wide._replace(known=wide.known & converged(config, wide.deviations, wide.observable))
@@ -125,13 +114,10 @@ def converged(config: EstimatorConfig, deviations: Array, valid: ParameterSet) -
     return found & valid
 
 
-def _at_edge(config: EstimatorConfig, evidence: Evidence) -> ParameterSet:
-    off = np.abs(evidence.mean - config.prior.mean)
+def _at_edge(config: EstimatorConfig, mean: Array) -> ParameterSet:
     found = ParameterSet.NONE
+    off = np.abs(mean - config.prior.mean)
     for parameter, distance, sd in zip(EACH, off, config.prior.deviations, strict=True):
         if sd > 0.0 and distance > CLEAR * sd:
             found |= parameter
-    if evidence.order_beyond > CLEAR:
-        # No body relaxes like this: force and displacement may be out of step.
-        found |= ParameterSet.FRACTIONAL_ORDER
     return found if not config.is_order_given else found & ~ParameterSet.FRACTIONAL_ORDER

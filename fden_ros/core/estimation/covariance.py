@@ -184,12 +184,9 @@ class Covariance:
 
     def walked(self, press: Press) -> tuple[Array, Array]:
         """Return the variances of force [Pa^2] and surface [1] at the cells of a press, (N,)."""
-        elapsed = press.middles - press.start
-        force, surface = np.zeros((2, elapsed.size))
-        for walk in self.law.rig.walks:
-            walked = force if walk.is_stress else surface
-            walked += walk.sd**2 * elapsed + walk.start_sd**2
-        return force, surface
+        elapsed, rig = press.middles - press.start, self.law.rig
+        force = rig.force_walk_sd**2 * elapsed + rig.zero_sd**2
+        return force, rig.surface_walk_sd**2 * elapsed
 
     def _noise_of_cells(self) -> Array:
         place, linear = self.law.place, self.linear

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.law import elastic_response, exponential_scale
 
 if TYPE_CHECKING:
@@ -50,6 +49,35 @@ EACH = (
     ParameterSet.NONLINEAR_STIFFNESS,
     ParameterSet.FRACTIONAL_ORDER,
 )
+
+
+class Component(NamedTuple):
+    """One Gaussian of a mixture."""
+
+    weight: float
+    mean: Array
+    covariance: Array
+
+
+def moments(components: Sequence[Component]) -> tuple[Array, Array]:
+    """Return mean and covariance of a mixture whose weights add up to 1."""
+    if len(components) == 1:
+        return components[0].mean, components[0].covariance
+    middle = np.sum([c.weight * c.mean for c in components], axis=0)
+    spread = np.zeros_like(components[0].covariance)
+    for component in components:
+        off = component.mean - middle
+        spread += component.weight * (component.covariance + np.outer(off, off))
+    return middle, spread
+
+
+def inflated(components: Sequence[Component], factor: float) -> tuple[Component, ...]:
+    """Return a mixture with the same mean, and a covariance that is `factor` times as large."""
+    middle, root = moments(components)[0], math.sqrt(factor)
+    return tuple(
+        Component(c.weight, middle + root * (c.mean - middle), factor * c.covariance)
+        for c in components
+    )
 
 
 class LawError(NamedTuple):

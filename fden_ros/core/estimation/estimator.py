@@ -18,12 +18,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation.claims import Claims, Evidence, claims_of, converged
-from fden_ros.core.estimation.estimate import Budget, Estimate, LawError, ParameterSet
+from fden_ros.core.estimation.claims import Claims, claims_of, converged
+from fden_ros.core.estimation.estimate import (
+    Budget,
+    Component,
+    Estimate,
+    LawError,
+    ParameterSet,
+    moments,
+)
 from fden_ros.core.estimation.estimator_config import Prior
 from fden_ros.core.estimation.face import CellInnovation, Estimator, Setting, Touch
 from fden_ros.core.estimation.grid import Grid
-from fden_ros.core.estimation.mixture import Component, moments
 from fden_ros.core.estimation.place import PlacePosterior
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.small_motion import SmallMotion
@@ -326,25 +332,19 @@ class GridEstimator(Estimator):
         beyond = posterior.probability_beyond(place.deepest)
         mean = mean - np.array([0.0, 0.0, 0.0, one.shift])
         sds = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-        evidence = Evidence(
-            mean[:3],
-            sds[:3],
-            beyond,
-            place.is_settled,
-            _contradicts_order(config.prior, place.law_error(posterior)),
-        )
-        claims = claims_of(config, evidence)
-        return _Part(
-            weight, one, posterior, mean, covariance, claims, beyond,
-            evidence.is_order_contradicted,
+        is_contradicted = _contradicts_order(config.prior, place.law_error(posterior))
+        claims = claims_of(
+            config, mean[:3], sds[:3], beyond,
+            is_solved=place.is_settled, is_order_contradicted=is_contradicted,
         )  # fmt: skip
+        return _Part(weight, one, posterior, mean, covariance, claims, beyond, is_contradicted)
 
     def _prior(self) -> Estimate:
         config = self._setting.config
         covariance = np.diag(config.prior.deviations**2)
         covariance[:2, :2] += config.uncertainty.thickness_sd**2
         sds = np.sqrt(covariance.diagonal())
-        claims = claims_of(config, Evidence(config.prior.mean, sds, 0.0, False))
+        claims = claims_of(config, config.prior.mean, sds, 0.0, is_solved=False)
         log_g, log_gn, order = config.prior.mean.tolist()
         return Estimate(
             log_g,

@@ -106,18 +106,13 @@ class Filter:
         self._taken: list[tuple[_Row, float]] = []  #: new cells, and their stresses [Pa]
         self._begin(grid.start.scales, grid.lower, grid.white, grid.stiffness)
         # Rates of the lead, its changes, and the nodes.
-        drive = linear.drive
-        self._driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
-        rises = np.diff(self._driven, axis=0, prepend=0.0)
-        self._driven = self._driven[-1]
+        driven = linear.drive.model
+        rises, self._driven = np.diff(driven, axis=0, prepend=0.0), driven[-1]
         elapsed = np.diff(press.times, prepend=press.times[0])
         y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
         since = press.times[-1] - press.times
         self._left = (np.exp(-np.multiply.outer(RATES, since)) * -np.expm1(-y) / y) @ rises
-        k = 1 + law.size
-        self._weights = np.hstack(
-            [np.repeat(linear.weights[:, :1], k, axis=1), linear.weights[:, 1 + linear.which]]
-        )
+        self._weights = linear.weights
         self._stresses = linear.stresses[-2:].tolist()
         self._middles = press.middles[-2:].tolist()
         self._loading = grid.covariance.loading
@@ -311,7 +306,7 @@ class Filter:
         times, newest = tail.times, self.path.times[-1]
         drive = law.drive(tail, self.stress_ahead(times), grid.linear.at, grid.linear.free)
         self.path = self.path.after(tail)
-        driven = np.hstack([drive.lead[:, None], drive.changes, drive.nodes])
+        driven = drive.model
         rises = driven - np.concatenate([self._driven[None], driven[:-1]])
         seconds = np.maximum(times - np.concatenate([[newest], times[:-1]]), 1e-9)
         y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)

@@ -56,8 +56,8 @@ _FEW = 6
 _SMALL_STEP = 0.02
 #: Rounds after which steps are damped [1].
 _DAMPED_FROM = 5
-#: Scales and nodes less likely than the best by this logarithm do not count [1].
-_NEGLIGIBLE_SCALE, _NEGLIGIBLE_NODE = 4.0, 8.0
+#: Scales less likely than the best by this logarithm do not count [1].
+_NEGLIGIBLE_SCALE = 4.0
 
 
 class Box(NamedTuple):
@@ -117,6 +117,15 @@ def of_stiffness(
     curve = np.maximum(2.0 * square - line, 0.1 * square) + 1.0 / sd**2
     log = line - 0.5 * square - 0.5 * ((g - mean) / sd) ** 2 - 0.5 * np.log(curve * sd**2)
     return Stiffness(g, 1.0 / curve, log)
+
+
+def _of_white(law: Law, y: Array, responses: Array) -> Stiffness:
+    """Return nodes by whitened data and responses, (N, M) each; the log is without that of |S|."""
+    a, b, rest = (
+        np.einsum("ij,ij->j", u, v) for u, v in ((responses, responses), (y, responses), (y, y))
+    )
+    found = of_stiffness(a, b, *prior_of_log_g(law))
+    return found._replace(log=found.log - 0.5 * rest)
 
 
 def log_sum(logs: Array, axis: int | None = None) -> Array:
@@ -184,7 +193,9 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
     chi, b, a = (np.einsum("pij,pij->pj", u, v)[at] for u, v in ((y, y), (y, r), (r, r)))
     scale = np.repeat(np.array([one.smooth for one in places]), widths, axis=1)[:, :, None]
     inner = scale * both[at, :, :k] * scale.transpose(0, 2, 1) + np.eye(k)
-    root, across = _halved(inner, scale * both[at, :, k:])
+    root = np.linalg.cholesky(inner)
+    # An inverse and one product take a fifth of the time of a solution for each place.
+    across = np.linalg.inv(root) @ (scale * both[at, :, k:])
     y, r = across[:, :, :h] @ heads, across[:, :, h:]
     chi, b, a = (
         whole - np.einsum("pij,pij->pj", u, v)
@@ -194,22 +205,6 @@ def table(law: Law, covariance: Covariance, places: Sequence[Scales], cells: Cel
     found = of_stiffness(a, b, *prior_of_log_g(law))
     log_prior = np.array([[one.log_prior] for one in places])
     return found._replace(log=found.log - rest + log_prior)
-
-
-def _halved(inner: Array, right: Array) -> tuple[Array, Array]:
-    """Return Cholesky factors L of matrices (p, k, k), and L^-1 b for each b of (p, k, m)."""
-    p, k, m = right.shape
-    if m > k:
-        # An inverse and one product take a fifth of the time of a solution for each place.
-        root = np.linalg.cholesky(inner)
-        return np.asarray(root), np.asarray(np.linalg.inv(root) @ right)
-    # What a factor has below that of a part of its matrix is the solution.
-    whole = np.zeros((p, k + m, k + m))
-    whole[:, :k, :k], whole[:, k:, :k] = inner, right.transpose(0, 2, 1)
-    at = np.arange(k, k + m)
-    whole[:, at, at] = 1.0 + np.einsum("pij,pij->pj", right, right).sum(axis=1)[:, None]
-    root = np.linalg.cholesky(whole)
-    return root[:, :k, :k], root[:, k:, :k].transpose(0, 2, 1)
 
 
 def prior_of_log_g(law: Law) -> tuple[float, float]:
@@ -258,40 +253,22 @@ def have_width(places: Array, weights: Array) -> bool:
     return bool(np.all(weights @ (off * off) > _LEAST_WIDTH**2))
 
 
-def product(box: Box, counts: tuple[int, ...], reach: float) -> tuple[Array, float]:
-    """Return the nodes of a product grid within a ball, and the log volume of a cell."""
-    z, steps = _product(counts, reach)
-    sides = steps * box.lower.diagonal()
-    return box.mean + z @ box.lower.T, float(np.log(sides[steps > 0.0]).sum())
-
-
-@functools.lru_cache(maxsize=16)
-def _product(counts: tuple[int, ...], reach: float) -> tuple[Array, Array]:
-    """Return the nodes of a product grid in the unit box, and their distances along its axes."""
-    axes = [np.linspace(-reach, reach, n) if n > 1 else np.zeros(1) for n in counts]
-    z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
-    steps = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
-    return z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2], steps
-
-
 @dataclass(eq=False)
-class Grid:
-    """Nodes laid in a box, and their weights.
+class Weighed:
+    """Nodes laid in a box, and weighed at the leading scales.
 
     Attributes
     ----------
+    log_prior : ndarray, shape (M,)
+        Of theta, with the volume of a cell.
     lower : ndarray, shape (N, N)
         Cholesky factor of S at the leading scales.
     white : ndarray, shape (N, 1 + d + k + M)
         y, X P and the responses, whitened by it.
-    stiffness : Stiffness
-        Of all nodes, mixed over the scales.
-    log_prior : ndarray, shape (M,)
-        Of theta, with the volume of a cell.
-    is_settled : bool
-        The grid resolves the posterior, and another round would change nothing.
-    chi_squared : float
-        Of the cells at the likeliest node.
+    residual : ndarray, shape (N, M)
+        y of each node less its response, whitened.
+    log : ndarray, shape (M,)
+        Log evidence with the prior.
     """
 
     law: Law
@@ -304,11 +281,30 @@ class Grid:
     log_prior: Array
     lower: Array
     white: Array
+    residual: Array
     stiffness: Stiffness
+    log: Array
+
+
+@dataclass(eq=False)
+class Grid(Weighed):
+    """A round: weighed nodes, and what follows from them.
+
+    Attributes
+    ----------
+    stiffness : Stiffness
+        Of all nodes, mixed over the scales.
+    scales : list of (Scales, float)
+        The likely ones, and their weights.
+    is_settled : bool
+        The grid resolves the posterior, and another round would change nothing.
+    after : Start
+        Of the next round.
+    """
+
     scales: list[tuple[Scales, float]]
     is_settled: bool
     after: Start
-    chi_squared: float
 
     @property
     def is_misfit(self) -> bool:
@@ -319,8 +315,9 @@ class Grid:
         if not self.is_settled or self.law.config.uncertainty.characteristic_sd:
             return False
         count = len(self.lower)
-        beyond = self.chi_squared - count > _MISFIT_DEVIATIONS * math.sqrt(2.0 * count)
-        return beyond and self.chi_squared > _MISFIT * count
+        chi_squared = float(np.sum(self.residual[:, int(np.argmax(self.log))] ** 2))
+        beyond = chi_squared - count > _MISFIT_DEVIATIONS * math.sqrt(2.0 * count)
+        return beyond and chi_squared > _MISFIT * count
 
     @property
     def about(self) -> Expansion:
@@ -385,9 +382,20 @@ def log_prior_of(law: Law, nodes: Array) -> Array:
 
 
 def _nodes(law: Law, box: Box, counts: Sequence[int], reach: float) -> tuple[Array, float]:
+    """Return the nodes of a product grid within a ball, and the log volume of a cell."""
     own = tuple(c if o else 1 for c, o in zip(counts, open_of(law), strict=True))
-    nodes, log_volume = product(box, own, reach)
-    return nodes[law.inside(nodes)], log_volume
+    z, steps = _unit_nodes(own, reach)
+    sides, nodes = steps * box.lower.diagonal(), box.mean + z @ box.lower.T
+    return nodes[law.inside(nodes)], float(np.log(sides[steps > 0.0]).sum())
+
+
+@functools.lru_cache(maxsize=16)
+def _unit_nodes(counts: tuple[int, ...], reach: float) -> tuple[Array, Array]:
+    """Return these nodes in the unit box, and their distances along its axes."""
+    axes = [np.linspace(-reach, reach, n) if n > 1 else np.zeros(1) for n in counts]
+    z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
+    steps = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
+    return z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2], steps
 
 
 def begun(law: Law, noise: Noise) -> Start:
@@ -423,48 +431,27 @@ def continued(law: Law, grid: Grid, mean: Array, covariance: Array, log_evidence
     `mean`, `covariance`: of theta by now; `log_evidence`: by now, at the leading scales.
     """
     about, d = grid.after.about, mean.size
-    state, by_theta = about.state, about.by_theta
-    state, by_theta = state[: law.size], by_theta[: law.size]
-    more = law.size - state.size
-    state, by_theta = np.pad(state, (0, more)), np.pad(by_theta, ((0, more), (0, 0)))
+    line = np.column_stack([about.state, about.by_theta])[: law.size]
+    line = np.pad(line, ((0, law.size - len(line)), (0, 0)))
     if law.last_knot != grid.law.last_knot:
-        at = splines(spline_places(law.last_knot), grid.law.last_knot)
-        state, by_theta = state.copy(), by_theta.copy()
-        state[CURVE], by_theta[CURVE] = at @ state[CURVE], at @ by_theta[CURVE]
+        line[CURVE] = splines(spline_places(law.last_knot), grid.law.last_knot) @ line[CURVE]
     # The line goes through the new mean.
-    state = state + by_theta @ (mean - about.theta)
-    n = sum(press.times.size for press in law.place.presses)
+    state = line[:, 0] + line[:, 1:] @ (mean - about.theta)
     log_g = float(grid.weights @ grid.stiffness.log_g)
-    about = Expansion(mean, log_g, state, by_theta, np.zeros(n))
+    about = Expansion(mean, log_g, state, line[:, 1:], np.zeros(0))
     own = covariance + np.diag((0.02 * grid.start.box.deviations) ** 2)
     lower, both = np.zeros((d, d)), np.ix_(open_of(law), open_of(law))
     lower[both] = np.linalg.cholesky(own[both])
+    box, rounds = Box(mean, lower), 0
     if not grid.is_settled:
         # The round that is under way goes on, with what is new.
-        own_box, rounds = grid.after.box, grid.after.rounds
-    else:
-        own_box, rounds = Box(mean, lower), 0
+        box, rounds = grid.after.box, grid.after.rounds
     return Start(
-        law.stressed(about), own_box, grid.after.scales, log_evidence, grid.is_settled, rounds
+        law.stressed(about), box, grid.after.scales, log_evidence, grid.is_settled, rounds
     )
 
 
-class _Weighed(NamedTuple):
-    """Nodes weighed at the leading scales."""
-
-    linear: Linear
-    covariance: Covariance
-    nodes: Array
-    cells: Cells
-    log_prior: Array
-    lower: Array
-    white: Array  #: y, X P and responses
-    residual: Array  #: y of each node less its response, whitened, (N, M)
-    stiffness: Stiffness
-    log: Array  #: log evidence with the prior
-
-
-def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
+def _weighed(law: Law, noise: Noise, start: Start) -> Weighed:
     about = start.about
     nodes, log_volume = _nodes(law, start.box, law.counts, REACH)
     log_prior = log_prior_of(law, nodes) + log_volume
@@ -476,31 +463,29 @@ def _weighed(law: Law, noise: Noise, start: Start) -> _Weighed:
     lower, white = whitened(law, covariance, start.scales, cells)
     rows = white[:, y.shape[1] + law.size :]
     own = white[:, :1] + white[:, 1 : y.shape[1]] @ cells.off.T
-    a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", own, rows)
-    found = of_stiffness(a, b, *prior_of_log_g(law))
-    rest = 0.5 * np.einsum("ij,ij->j", own, own) + np.log(lower.diagonal()).sum()
-    log = found.log - rest + log_prior
+    found = _of_white(law, own, rows)
+    log = found.log - np.log(lower.diagonal()).sum() + log_prior
     log = cut(law, nodes, log) + log_sum(log)
     residual = own - rows * np.exp(found.log_g)
-    return _Weighed(
-        linear, covariance, nodes, cells, log_prior, lower, white, residual, found, log
-    )
+    return Weighed(
+        law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, residual,
+        found, log,
+    )  # fmt: skip
 
 
 def laid(law: Law, noise: Noise, start: Start) -> Grid:
     """Lay a grid: one round."""
     own = _weighed(law, noise, start)
-    linear, covariance, nodes, cells, log_prior, lower, white, residual, _, log = own
-    weights, beta = tempered(log, least_effective(law))
+    weights, beta = tempered(own.log, least_effective(law))
     is_coarse, has_width = beta < 1.0, True
     if law.has_close_nodes:
-        has_width = have_width(places_in(law, start.box, nodes), weights)
+        has_width = have_width(places_in(law, start.box, own.nodes), weights)
     has_moments = law.has_close_nodes and not is_coarse
-    box = _moments(law, nodes, weights, start.box) if has_moments else _around(law, own, start)
+    box = _moments(law, own.nodes, weights, start.box) if has_moments else _around(own)
     if start.rounds >= _DAMPED_FROM and has_width:
         box = _between(start.box, box)
-    mixture, scales = _likely_scales(law, own, start)
-    total = float(log_sum(log))
+    mixture, scales = _likely_scales(own)
+    total = float(log_sum(own.log))
     is_near = abs(total - start.log_evidence) < _SETTLED_GAIN or start.is_continued
     settled = (
         not is_coarse
@@ -509,26 +494,23 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
         and is_near
         and _is_near(law, start.box, box)
     )
-    about = _relinearised(law, own, start, weights)
+    about = _relinearised(own, weights)
     if settled:
-        mixed, mixture = _mixed(law, own, [one for one, _ in mixture])
+        mixed, mixture = _mixed(own, [one for one, _ in mixture])
     else:
-        mixed = _led(own, start.scales, mixture)
+        mixed = _led(own, mixture)
     after = Start(about, box, scales, total, rounds=start.rounds + 1)
-    chi_squared = float(np.sum(residual[:, int(np.argmax(log))] ** 2))
     return Grid(
-        law, noise, start, linear, covariance, nodes, cells, log_prior, lower, white, mixed,
-        mixture, settled, after, chi_squared,
-    )  # fmt: skip
+        **vars(own) | {"stiffness": mixed}, scales=mixture, is_settled=settled, after=after
+    )
 
 
-def _likely_scales(
-    law: Law, own: _Weighed, start: Start
-) -> tuple[list[tuple[Scales, float]], Scales]:
+def _likely_scales(own: Weighed) -> tuple[list[tuple[Scales, float]], Scales]:
     """Return the likely places next to the leading one, and that which leads from now on.
 
     With their weights, by the best nodes alone.
     """
+    law, start = own.law, own.start
     few = np.argsort(-own.log)[:_FEW]
     places = near(law.config.uncertainty, start.scales)
     logs = table(law, own.covariance, places, own.cells.some(few)).log + own.log_prior[few]
@@ -565,11 +547,9 @@ def whitened(
     return lower, solved(lower, np.hstack([cells.y, columns, cells.responses]))
 
 
-def _mixed(
-    law: Law, own: _Weighed, likely: Sequence[Scales]
-) -> tuple[Stiffness, list[tuple[Scales, float]]]:
+def _mixed(own: Weighed, likely: Sequence[Scales]) -> tuple[Stiffness, list[tuple[Scales, float]]]:
     """Return the nodes mixed over likely scales, and these with their weights."""
-    found, log_prior = table(law, own.covariance, likely, own.cells), own.log_prior
+    found, log_prior = table(own.law, own.covariance, likely, own.cells), own.log_prior
     log = log_sum(found.log, axis=0)
     share = np.exp(found.log - log)
     log_g = (share * found.log_g).sum(axis=0)
@@ -579,11 +559,12 @@ def _mixed(
     return Stiffness(log_g, np.maximum(variance, 0.0), log), mixture
 
 
-def _led(own: _Weighed, leading: Scales, mixture: Sequence[tuple[Scales, float]]) -> Stiffness:
+def _led(own: Weighed, mixture: Sequence[tuple[Scales, float]]) -> Stiffness:
     """Return the nodes at the leading scales alone: another round comes.
 
     Their evidence is that of all scales, by the best nodes.
     """
+    leading = own.start.scales
     share = sum(weight for one, weight in mixture if one == leading)
     gain = leading.log_prior - math.log(max(share, math.exp(-_NEGLIGIBLE_SCALE)))
     return own.stiffness._replace(log=own.log - own.log_prior + gain)
@@ -611,12 +592,13 @@ def _moments(law: Law, nodes: Array, weights: Array, box: Box) -> Box:
     return Box(np.where(is_open, mean, law.coordinates[0]), lower)
 
 
-def _around(law: Law, own: _Weighed, start: Start) -> Box:
+def _around(own: Weighed) -> Box:
     """Return the box of a Gaussian about a likely theta: nodes are too far apart for moments.
 
     From the best node at each ln Gn by a step of Gauss and Newton, at most as far as the nodes are
     apart: the likeliest of these. The best node alone may be of another mode, that is broader.
     """
+    law, start = own.law, own.start
     box, is_open, k = start.box, open_of(law), law.kernels
     places = np.linalg.solve(
         box.lower + np.diag(np.where(is_open, 0.0, 1.0)), (own.nodes - box.mean).T
@@ -645,9 +627,8 @@ def _around(law: Law, own: _Weighed, start: Start) -> Box:
     ends = np.array([one.mean for one in found])
     cells = Cells(own.cells.y, ends - start.about.theta, law.responses(ends, start.about)[0])
     y, rows = solved(own.lower, cells.own), solved(own.lower, cells.responses)
-    a, b = np.einsum("ij,ij->j", rows, rows), np.einsum("ij,ij->j", y, rows)
-    log = of_stiffness(a, b, *prior_of_log_g(law)).log - 0.5 * np.einsum("ij,ij->j", y, y)
-    return found[int(np.argmax(log + log_prior_of(law, ends)))]
+    log = _of_white(law, y, rows).log + log_prior_of(law, ends)
+    return found[int(np.argmax(log))]
 
 
 def _stepped(law: Law, box: Box, middle: Array, y: Array, responses: Array, shifts: Array) -> Box:
@@ -697,15 +678,15 @@ def _between(box: Box, other: Box) -> Box:
     return Box(0.5 * (box.mean + other.mean), lower)
 
 
-def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expansion:
+def _relinearised(own: Weighed, weights: Array) -> Expansion:
     """Return the expansion about the mean of the nodes, with all conditional modes as lines."""
-    about, heads = start.about, own.cells.y.shape[1]
+    law, about, heads = own.law, own.start.about, own.cells.y.shape[1]
     top = np.flatnonzero(weights > 1e-3 * weights.max())
     told = own.white[:, heads : heads + law.size].T @ own.residual[:, top]
     nodes, weights = own.nodes[top], weights[top] / weights[top].sum()
     mean, spread = moments_of(weights, nodes)
     # Where one place of a coordinate has nearly all weight, there is no line along it.
-    variances = 1e-3 * spread.diagonal() + (1e-3 * start.box.deviations) ** 2
+    variances = 1e-3 * spread.diagonal() + (1e-3 * own.start.box.deviations) ** 2
     spread += np.diag(np.where(variances > 0.0, variances, 1.0))
     inverse, k = np.linalg.inv(spread), law.kernels
     of_kernel = np.zeros_like(inverse)
@@ -720,11 +701,12 @@ def _relinearised(law: Law, own: _Weighed, start: Start, weights: Array) -> Expa
     by_theta[KERNEL] = cross[KERNEL] @ of_kernel
     log_g = float(weights @ own.stiffness.log_g[top])
     wanted = Expansion(mean, log_g, state, by_theta, about.stresses)
-    return _damped(law, own.covariance, start, wanted)
+    return _damped(own, wanted)
 
 
-def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -> Expansion:
+def _damped(own: Weighed, wanted: Expansion) -> Expansion:
     """Return a step of the law's errors, halved until it makes the mean node likelier."""
+    law, covariance, start = own.law, own.covariance, own.start
     before = start.about.at(slice(None), wanted.theta[None])[:RIG, 0]
     step = wanted.state[:RIG] - before
     if np.max(np.abs(step)) < _SMALL_STEP:
@@ -733,9 +715,8 @@ def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -
     roots = zip(covariance.roots, scales.smooth, strict=True)
     inverse = [(places, np.linalg.pinv(size * root)) for (places, root), size in roots if size]
     lower = cholesky(covariance.without_smooth(scales))
-    moving = [k for k, (one, _) in enumerate(law.slots, RIG) if one.moves]
-    columns = covariance.linear.columns[:, moving]
-    rig = law.place.joined("stresses") + columns @ wanted.state[moving]
+    columns = covariance.linear.columns[:, law.moving]
+    rig = law.place.joined("stresses") + columns @ wanted.state[law.moving]
 
     def at(part: float) -> tuple[float, Expansion, Array]:
         state = np.append(before + part * step, wanted.state[RIG:])
@@ -744,7 +725,7 @@ def _damped(law: Law, covariance: Covariance, start: Start, wanted: Expansion) -
         white = solved(lower, np.column_stack([rig, response]))
         square, both = float(white[:, 1] @ white[:, 1]), float(white[:, 0] @ white[:, 1])
         cost = float(white[:, 0] @ white[:, 0]) - max(both, 0.0) ** 2 / max(square, 1e-300)
-        cost += sum(float(np.sum((own @ state[places]) ** 2)) for places, own in inverse)
+        cost += sum(float(np.sum((root @ state[places]) ** 2)) for places, root in inverse)
         log_g = math.log(max(both, 1e-9 * square, 1e-300) / max(square, 1e-300))
         # A record that the law cannot describe would have no stress but by an endless G.
         log_g = min(max(log_g, wanted.log_g - 1.0), wanted.log_g + 1.0)

@@ -44,28 +44,11 @@ from fden_ros.core.law import (
     RATES,
     SPACING,
     Geometry,
+    relaxation_weights,
 )
 
 #: States beyond as many standard deviations count as there [1].
 _MOST = 8.0
-_LOG_RATES = np.log(np.concatenate([RATES, RATES[[0, -1]]]))
-
-
-def relaxation(orders: Array) -> Array:
-    """Return the weights of t^-alpha / Gamma(1 - alpha) at the rates, (34, orders)."""
-    a = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
-    slow = RATES[0] ** a / np.expm1(SPACING * a)
-    fast = RATES[-1] ** (a - 1.0) / np.expm1(SPACING * (1.0 - a))
-    parts = np.vstack([np.exp(np.outer(_LOG_RATES[:-2], a)), slow, fast])
-    return np.asarray(SPACING * np.sin(np.pi * a) / np.pi * parts)
-
-
-def creep(orders: Array) -> Array:
-    """Return the weights of t^(alpha - 1) / Gamma(alpha) at the rates of the creep, (33, n)."""
-    a = np.clip(orders, LOWEST_ORDER, HIGHEST_ORDER)
-    slow = RATES[0] ** (1.0 - a) / np.expm1(SPACING * (1.0 - a))
-    parts = np.vstack([np.exp(np.outer(_LOG_RATES[:-2], 1.0 - a)), slow])
-    return np.asarray(SPACING * np.sin(np.pi * a) / np.pi * parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +61,9 @@ class Expansion:
     by_theta: Array  #: (k, d)
     stresses: Array  #: at the points, by the model [Pa], (n,)
 
-    def at(self, places: slice | list[int], nodes: Array | None = None) -> Array:
-        """Return some unknowns at nodes, (k, M), or at the node itself, (k,)."""
-        found = self.state[places]
-        if nodes is not None:
-            found = found[:, None] + self.by_theta[places] @ (nodes - self.theta).T
+    def at(self, places: slice | list[int], nodes: Array) -> Array:
+        """Return some unknowns at nodes, (k, M)."""
+        found = self.state[places, None] + self.by_theta[places] @ (nodes - self.theta).T
         return np.asarray(np.minimum(np.maximum(found, -_MOST), _MOST))
 
 
@@ -96,63 +77,38 @@ class AtNodes(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What drives the relaxation at points of one press, with what an expansion needs."""
+    """What drives the relaxation at points of one press.
 
-    nodes: Array  #: psi less the free surface for G = 1, (n, M)
-    lead: Array  #: of the leading node, times its G, (n,)
-    changes: Array  #: by the unknowns, (n, k)
-    slopes: Array  #: of the stress by the indentation, (n,)
-
-
-class Free(NamedTuple):
-    """The free surface that earlier presses have left, as moments times weights of the creep."""
-
-    end: float  #: when they ended [s]
-    nodes: Array  #: (33, M), for G = 1
-    lead: Array  #: (33,)
-    changes: Array  #: by the unknowns, (33, k)
-
-
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """The moments of the stress of earlier presses, at the rates of the creep.
-
-    Of the nodes for G = 1, of the leading one, and by what the unknowns change that.
+    A model has columns of the leading node, times its G, of the changes of that by the k unknowns,
+    and of M nodes for G = 1.
     """
 
-    end: float  #: [s]
-    nodes: Array  #: (33, M)
-    lead: Array  #: (33,)
-    changes: Array  #: (33, k)
-    is_pressed: bool
+    model: Array  #: psi less the free surface, (n, 1 + k + M)
+    slopes: Array  #: of the leading node's stress by the indentation, (n,)
 
-    @classmethod
-    def of(cls, law: Law, about: Expansion, size: int, older: Array) -> _Past:
-        """Return that of the presses that are no part of the record, of which G is the leading."""
-        nodes = np.outer(older * math.exp(-about.log_g), np.ones(size))
-        changes = np.zeros((older.size, law.size))
-        return cls(law.place.older_end, nodes, older, changes, bool(older.any()))
 
-    def free(self, back: Array, by_errors: Array, which: Indices) -> Free:
-        """Return the free surface.
+class Moments(NamedTuple):
+    """Moments of the stress of presses at the rates of the creep.
 
-        `back`: weights of the creep, the leading ones first; `by_errors`: ln of these, by delta.
-        """
-        own = back[:, 0]
-        changes = own[:, None] * self.changes
-        changes[:, KERNEL] += (own * self.lead)[:, None] * by_errors
-        return Free(self.end, back[:, 1 + which] * self.nodes, own * self.lead, changes)
+    Times the weights of the creep they are the free surface that these presses have left.
+    """
 
-    def after(self, press: Press, nodes: Array, lead: Array, changes: Array) -> _Past:
-        """Return it after a press, of whose cells the stresses are given."""
-        decay, into = np.exp(-CREEP_RATES * (press.end - self.end))[:, None], press.into_moments
-        return _Past(
-            press.end,
-            decay * self.nodes + into @ np.maximum(nodes, 0.0),
-            decay[:, 0] * self.lead + into @ np.maximum(lead, 0.0),
-            decay * self.changes + into @ ((lead > 0.0)[:, None] * changes),
-            True,
-        )
+    end: float  #: when they ended [s]
+    model: Array  #: (33, 1 + k + M)
+
+    def times(self, weights: Array | float) -> Moments:
+        """Return their product with weights."""
+        return Moments(self.end, weights * self.model)
+
+    def after(self, press: Press, model: Array, size: int) -> Moments:
+        """Return them after a press, of whose cells the model is given; `size`: k."""
+        decay = np.exp(-CREEP_RATES * (press.end - self.end))[:, None]
+        return Moments(press.end, decay * self.model + press.into_moments @ _pushed(model, size))
+
+    def left(self, press: Press) -> Array:
+        """Return the sum of what is left at the points of a later press, (n, 1 + k + M)."""
+        elapsed = np.maximum(press.times - self.end, 0.0)
+        return np.asarray(np.exp(-np.multiply.outer(elapsed, CREEP_RATES)) @ self.model)
 
 
 class Linear(NamedTuple):
@@ -164,9 +120,8 @@ class Linear(NamedTuple):
     gains: Array  #: stress by indentation at the cells, without relaxation, (N,)
     steepest: Array  #: the same at the steeper end of a cell, (N,)
     drive: Drive  #: of the newest press
-    free: Free | None  #: before that; None: no press was before
-    which: Indices  #: the relaxation of each node
-    weights: Array  #: of the relaxations by rate, the expansion's first, (34, 1 + kernels)
+    free: Moments | None  #: the free surface before that; None: no press was before
+    weights: Array  #: of the relaxation of each column of a model by rate, (34, 1 + k + M)
     at: AtNodes
 
 
@@ -263,7 +218,7 @@ class Law:
 
     def weights(self, nodes: Array) -> Array:
         """Return the relaxation of nodes by its rates, (34, M)."""
-        return relaxation(nodes[:, 0])
+        return relaxation_weights(np.clip(nodes[:, 0], LOWEST_ORDER, HIGHEST_ORDER))
 
     def creep(self, nodes: Array, errors: Array) -> tuple[Array, Array]:
         """Return the creep of nodes by its rates, (33, M), and ln of the first by its errors.
@@ -282,7 +237,10 @@ class Law:
         ratio = np.sin(np.pi * inside) / np.sin(np.pi * orders)
         by_slope = 2.0 * np.pi / np.tan(np.pi * inside[:, 0]) * (inside == local)[:, 0]
         by_errors = -KERNEL_HATS[:-1] - by_slope[:, None] * KERNEL_SLOPES
-        return creep(orders) * ratio**2 * np.exp(-(KERNEL_HATS @ errors)[:-1]), by_errors
+        slow = RATES[0] ** (1.0 - orders) / np.expm1(SPACING * (1.0 - orders))
+        weights = SPACING * np.sin(np.pi * orders) / np.pi * ratio**2
+        weights = weights * np.vstack([np.power.outer(RATES, 1.0 - orders), slow])
+        return weights * np.exp(-(KERNEL_HATS @ errors)[:-1]), by_errors
 
     def relaxed(self, node: Array, times: Array) -> Array:
         """Return what is left of a unit step after times [s]."""
@@ -350,11 +308,11 @@ class Law:
         both = np.vstack([about.theta, nodes])
         return AtNodes(about, both, about.at(CURVE, both), about.at(self.moving, both))
 
-    def drive(self, press: Press, stresses: Array, at: AtNodes, free: Free | None) -> Drive:
+    def drive(self, press: Press, stresses: Array, at: AtNodes, free: Moments | None) -> Drive:
         """Return what drives points of a press; `stresses`: there, by the model [Pa]."""
         moves = self.moves(press, stresses, at.about)
         strain, by_u = self.strain(self.indentations(press, at.nodes[:, -1]) + moves @ at.moving)
-        n, lead_strain = press.times.size, strain[:, 0]
+        n, k, lead_strain = press.times.size, self.size, strain[:, 0]
         near = np.concatenate([lead_strain, np.abs(lead_strain) + 1e-4])
         basis, ahead = splines(near, self.last_knot).reshape(2, n, -1)
         psi = self.shape(strain, at.nodes[:, self.kernels])
@@ -365,66 +323,57 @@ class Law:
         tilted = (ahead - basis) @ own / 1e-4
         slopes = g * self.slope(lead_strain, at.nodes[0, self.kernels]) * np.exp(basis @ own)
         slopes = (slopes + np.abs(lead) * tilted) * by_u[:, 0]
-        changes = np.zeros((n, self.size))
+        model = np.hstack([lead[:, None], np.zeros((n, k)), psi[:, 1:]])
+        changes = model[:, 1 : 1 + k]
         changes[:, CURVE] = lead[:, None] * basis
         changes[:, self.moving] = slopes[:, None] * moves
         if free is None:
-            return Drive(psi[:, 1:], lead, changes, slopes)
-        out = _left_of(free.end, press)
-        surface = out @ free.lead
-        touches = (lead > surface)[:, None]
-        changes = touches * (changes - out @ free.changes)
-        pushed = np.maximum(psi[:, 1:] - out @ free.nodes, 0.0)
-        return Drive(pushed, np.maximum(lead - surface, 0.0), changes, slopes * touches[:, 0])
+            return Drive(model, slopes)
+        model -= free.left(press)
+        return Drive(_pushed(model, k), slopes * (model[:, 0] > 0.0))
 
     # The stress of the cells
 
     def kernels_of(self, nodes: Array, about: Expansion) -> tuple[Indices, Array, Array, Array]:
-        """Return the different relaxations of nodes, and of the expansion's node.
+        """Return the different relaxations of the expansion's node and of others.
 
         Returns
         -------
-        which : ndarray, shape (M,)
+        which : ndarray, shape (1 + k + M,)
+            That of each column of a model.
         weights, back : ndarray, shape (34, 1 + kernels), (33, 1 + kernels)
             Of the relaxation and of its inverse; the expansion's own are the first.
         by_errors : ndarray, shape (33, 11)
             ln of the expansion's inverse, by delta at its knots.
         """
         keys = nodes[:, : self.kernels].round(12) @ np.array([1.0, 997.0])[: self.kernels]
-        _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+        _, first, own = np.unique(keys, return_index=True, return_inverse=True)
         some = np.vstack([about.theta, nodes[first]])
         errors = about.at(KERNEL, some)
         weights = self.weights(some) * np.exp(KERNEL_HATS @ errors)
-        return which.ravel(), weights, *self.creep(some, errors)
+        which = np.append(np.zeros(1 + self.size, dtype=np.intp), 1 + own)
+        return which, weights, *self.creep(some, errors)
 
     def response(self, about: Expansion) -> Array:
         """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
-        node, place = about.theta[None], self.place
-        error, bend, moving = (
-            KERNEL_HATS @ about.at(KERNEL),
-            about.at(CURVE),
-            about.at(self.moving),
-        )
-        weights = self.weights(node)[:, 0] * np.exp(error)
-        back = self.creep(node, about.at(KERNEL)[:, None])[0][:, 0]
-        past, end = place.older * math.exp(-about.log_g), place.older_end
+        place, node = self.place, about.theta[None]
+        _, weights, back, _ = self.kernels_of(node[:0], about)
+        at = self.at_nodes(about, node[:0])
+        past = Moments(place.older_end, place.older[:, None] * math.exp(-about.log_g))
         found: list[Array] = []
         for q, (press, points) in enumerate(zip(place.presses, place.point_slices, strict=True)):
-            moved = self.indentations(press, about.theta[-1:])[:, 0]
-            moved += self.moves(press, about.stresses[points], about) @ moving
-            strain = self.strain(moved)[0]
+            moves = self.moves(press, about.stresses[points], about)
+            strain = self.strain(self.indentations(press, node[:, -1]) + moves @ at.moving)[0]
             psi = self.shape(strain, about.theta[self.kernels])
-            if bend.any():
-                psi *= np.exp(splines(strain, self.last_knot) @ bend)
+            if at.bend.any():
+                psi *= np.exp(splines(strain[:, 0], self.last_knot) @ at.bend)
             if place.is_new_spot(q):
-                past = np.zeros_like(past)
-            if past.any():
-                psi = np.maximum(psi - _left_of(end, press) @ (back * past), 0.0)
-            found.append(weights @ (press.memory @ np.diff(psi, prepend=0.0)))
+                past = past.times(0.0)
+            elif past.model.any():
+                psi = np.maximum(psi - past.times(back).left(press), 0.0)
+            found.append(weights[:, 0] @ (press.memory @ np.diff(psi[:, 0], prepend=0.0)))
             if len(found) < len(place.presses):
-                decay = np.exp(-CREEP_RATES * (press.end - end))
-                past = decay * past + press.into_moments @ np.maximum(found[-1], 0.0)
-                end = press.end
+                past = past.after(press, found[-1][:, None], 0)
         return np.concatenate(found)
 
     def responses(self, nodes: Array, about: Expansion) -> tuple[Array, Linear]:
@@ -433,36 +382,41 @@ class Law:
         Each press of the place meets the free surface of those before.
         """
         which, weights, back, by_errors = self.kernels_of(nodes, about)
-        sizes = [press.middles.size for press in self.place.presses]
-        found, columns = np.zeros((sum(sizes), len(nodes))), np.zeros((sum(sizes), self.size))
-        stresses, loads, gains, steepest = np.zeros((4, sum(sizes)))
-        past = _Past.of(self, about, len(nodes), self.place.older)
-        at = self.at_nodes(about, nodes)
-        free = None
-        slices = zip(self.place.point_slices, self.place.cell_slices, strict=True)
-        for q, (press, (points, cells)) in enumerate(zip(self.place.presses, slices, strict=True)):
-            if self.place.is_new_spot(q):
-                past, free = _Past.of(self, about, len(nodes), 0.0 * self.place.older), None
-            elif past.is_pressed:
-                free = past.free(back, by_errors, which)
+        groups, place, k = _groups_of(which), self.place, self.size
+        model = np.zeros((place.cell_slices[-1].stop, which.size))
+        loads, gains, steepest = np.zeros((3, len(model)))
+        older = np.outer(
+            place.older, np.where(np.arange(which.size) > k, math.exp(-about.log_g), 0.0)
+        )
+        older[:, 0] = place.older
+        past, free, at = Moments(place.older_end, older), None, self.at_nodes(about, nodes)
+        slices = zip(place.point_slices, place.cell_slices, strict=True)
+        for q, (press, (points, cells)) in enumerate(zip(place.presses, slices, strict=True)):
+            if place.is_new_spot(q):
+                past, free = past.times(0.0), None
+            elif past.model.any():
+                free = past.times(back[:, which])
+                free.model[:, 1 : 1 + k][:, KERNEL] += free.model[:, :1] * by_errors
             drive = self.drive(press, about.stresses[points], at, free)
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
                 -1, *press.memory.shape[1:]
             )
-            rises = np.diff(drive.nodes, axis=0, prepend=0.0)
-            for j, group in enumerate(_groups_of(which)):
-                found[cells, group] = kernels[1 + j] @ rises[:, group]
-            rise = np.diff(drive.lead, prepend=0.0)
-            columns[cells] = kernels[0] @ np.diff(drive.changes, axis=0, prepend=0.0)
+            rises, own = np.diff(drive.model, axis=0, prepend=0.0), model[cells]
+            for kernel, group in zip(kernels, groups, strict=True):
+                own[:, group] = kernel @ rises[:, group]
+            stresses, columns = own[:, 0], own[:, 1 : 1 + k]
             if self.has_kernel_error:
-                columns[cells, KERNEL] += (weights[:, :1] * (press.memory @ rise)).T @ KERNEL_HATS
-            stresses[cells] = kernels[0] @ rise
-            self.add_stress_columns(press, stresses[cells], columns[cells])
+                left = press.memory @ rises[:, 0]
+                columns[:, KERNEL] += (weights[:, :1] * left).T @ KERNEL_HATS
+            self.add_stress_columns(press, stresses, columns)
             loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
-            if q + 1 < len(sizes):
-                past = past.after(press, found[cells], stresses[cells], columns[cells])
-        linear = Linear(stresses, columns, loads, gains, steepest, drive, free, which, weights, at)
-        return found, linear
+            if q + 1 < len(place.presses):
+                past = past.after(press, own, k)
+        linear = Linear(
+            model[:, 0], model[:, 1 : 1 + k], loads, gains, steepest, drive, free,
+            weights[:, which], at,
+        )  # fmt: skip
+        return model[:, 1 + k :], linear
 
     def add_stress_columns(self, press: Press, stresses: Array, columns: Array) -> None:
         """Add what changes the stress of a press directly to the columns of its cells."""
@@ -498,15 +452,17 @@ def mean_motion(press: Press, stresses: Array) -> Motion:
 def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:
     """Return load, stiffness and largest stiffness of cells."""
     first, last = press.first, press.last
-    load = 0.5 * (np.abs(drive.lead[first]) + np.abs(drive.lead[last]))
+    load = 0.5 * (np.abs(drive.model[first, 0]) + np.abs(drive.model[last, 0]))
     gain = 0.5 * (drive.slopes[first] + drive.slopes[last])
     steepest = np.maximum(drive.slopes[first], drive.slopes[last])
     return load, gain, steepest
 
 
-def _left_of(end: float, press: Press) -> Array:
-    """Return what is left of moments at a time [s], at the points of a later press, (n, 33)."""
-    return np.exp(-np.multiply.outer(np.maximum(press.times - end, 0.0), CREEP_RATES))
+def _pushed(model: Array, size: int) -> Array:
+    """Return a model of a probe that leaves the surface where it would pull; `size`: k."""
+    found = np.maximum(model, 0.0)
+    found[:, 1 : 1 + size] = model[:, 1 : 1 + size] * (model[:, :1] > 0.0)
+    return found
 
 
 def _groups_of(which: Indices) -> list[Indices]:

@@ -8,7 +8,6 @@ To add one, add its standard deviation to the configuration and an object to :fu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -70,22 +69,13 @@ class Nuisance:
     is_per_press: bool = False
 
 
-@dataclass(frozen=True)
-class Walk:
-    """A random walk in time, of the stress [Pa] or of the surface [1] against its stiffness."""
-
-    name: str
-    sd: float  #: of its change in one second
-    start_sd: float  #: at the beginning of a press
-    is_stress: bool
-    source: str
-
-
 class Rig(NamedTuple):
     """All that is not known of the rig, and of other spots of a place by their number."""
 
     nuisances: tuple[Nuisance, ...]
-    walks: tuple[Walk, ...]
+    zero_sd: float  #: of the stress's zero at the touch [Pa]
+    force_walk_sd: float  #: of the walk of this zero in one second [Pa]
+    surface_walk_sd: float  #: of that of the surface, against its stiffness [1]
     spots: Mapping[int, tuple[Nuisance, ...]] = MappingProxyType({})
 
 
@@ -158,9 +148,6 @@ def rig_of(config: EstimatorConfig, geometry: Geometry, zero_sd: float, drift_sd
                  mean, has_tails=True),
         Nuisance("drift", drift_sd, partial(_drift, drift_sd), False, "drift", is_per_press=True),
     )  # fmt: skip
-    walks = (
-        Walk("force", scale * unsure.force_drift_sd, zero_sd, True, "drift"),
-        Walk("surface", unsure.surface_motion_sd / length, 0.0, False, "motion"),
-    )
-    found = tuple(walk for walk in walks if math.hypot(walk.sd, walk.start_sd) > 0.0)
-    return Rig(tuple(one for one in nuisances if one.sd > 0.0), found)
+    known = tuple(one for one in nuisances if one.sd > 0.0)
+    force_walk, surface_walk = scale * unsure.force_drift_sd, unsure.surface_motion_sd / length
+    return Rig(known, zero_sd, force_walk, surface_walk)

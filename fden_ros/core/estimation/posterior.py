@@ -17,10 +17,9 @@ from scipy.special import ndtr
 from fden_ros.core.arrays import Array, Indices
 from fden_ros.core.estimation.covariance import Scales
 from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, KERNEL_HATS, RIG, splines
-from fden_ros.core.estimation.estimate import LawError
+from fden_ros.core.estimation.estimate import Component, LawError
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import Grid, Stiffness, cholesky, open_of, solved
-from fden_ros.core.estimation.mixture import Component
 from fden_ros.core.law import HIGHEST_ORDER, LOWEST_ORDER, left_after, relaxation_weights
 
 #: Nodes less likely than the best by this factor do not count [1].

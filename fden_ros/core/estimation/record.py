@@ -180,9 +180,8 @@ class Record:
         self.noise_sd = noise_sd
         self.approach = Approach(reach, is_at_rest=is_at_rest)
         self._cells: list[Cell] = []
-        self._blocks: list[Block] = []  # of the same, on their path
-        self._path: Cell | None = None  # the newest line that blocks have followed
-        self._path_begin = 0  # its first block
+        self._paths: list[Cell] = []  # the lines that blocks have followed
+        self._path_of: list[int] = []  # that of each block, by its number
         self._open: Cell | None = None
         self._start: float | None = None
         self._changed = 0.0
@@ -193,7 +192,8 @@ class Record:
     def blocks(self) -> list[Block]:
         """The complete blocks, with the motion before the first."""
         before = [cell.block() for cell in self.approach.cells(self._cells)]
-        return before + self._on_path(self._path)
+        own = zip(self._cells, self._path_of, strict=True)
+        return before + [cell.block().along(self._paths[path]) for cell, path in own]
 
     def add(
         self, time: float, indentation: float, stress: float, *, is_observed: bool
@@ -238,32 +238,27 @@ class Record:
         cell, self._open = self._open, None
         if cell is None:
             return []
-        path, longer, done = self._path, None, []
-        if path is not None and cell.is_along(path, _LINE_DEVIATIONS * self.noise_sd):
-            longer = path.merged(cell)
-        done.append(cell.block() if longer is None else cell.block().along(longer))
-        if self._cells and self._joins(self._cells[-1], cell):
-            cell = self._cells.pop().merged(cell)
-            self._blocks.pop()
-        elif path is not None and longer is None and (end := self._end_of(path, cell)) is not None:
+        done = [cell.block()]
+        last, path = (self._cells[-1], self._paths[-1]) if self._cells else (None, None)
+        goes_on = path is not None and cell.is_along(path, _LINE_DEVIATIONS * self.noise_sd)
+        if path is not None and goes_on:
+            self._paths[-1] = path.merged(cell)
+            done = [done[0].along(self._paths[-1])]
+        if last is not None and self._joins(last, cell):
+            cell = last.merged(cell)
+            self._cells.pop()
+            self._path_of.pop()
+        elif path is not None and not goes_on and (end := self._end_of(path, cell)) is not None:
             self._cells.append(end)
-            self._blocks.append(end.block())
-            done.insert(0, self._blocks[-1])
-        if longer is None:
-            self._blocks = self._on_path(path)
-            self._path_begin = len(self._cells)
-        self._path = longer or cell
+            self._path_of.append(len(self._paths) - 1)
+            done.insert(0, end.block())
+        if not goes_on:
+            self._paths.append(cell)
         self._cells.append(cell)
-        self._blocks.append(cell.block())
+        self._path_of.append(len(self._paths) - 1)
         if len(self._cells) >= MOST_BLOCKS:
             self._halve()
         return done
-
-    def _on_path(self, path: Cell | None) -> list[Block]:
-        if path is None:
-            return self._blocks
-        newest = [block.along(path) for block in self._blocks[self._path_begin :]]
-        return self._blocks[: self._path_begin] + newest
 
     def _end_of(self, path: Cell, after: Cell) -> Cell | None:
         """Return the last step of the motion along a path; None: the last block has it nearly.
@@ -311,9 +306,7 @@ class Record:
             else:
                 halved.append(cell)
                 is_open = not is_near
-        self._cells, self._path = halved, halved[-1]
-        self._blocks = [cell.block() for cell in halved]
-        self._path_begin = len(halved) - 1
+        self._cells, self._paths, self._path_of = halved, [*halved], [*range(len(halved))]
 
 
 class Approach:

@@ -46,13 +46,16 @@ SHORTEST_STEP = MIN_STEP_NS / NANOSECONDS
 _SERIES_LIMIT = 1e-4
 
 
-def relaxation_weights(order: float) -> Array:
-    """Return the weights of relaxation, shape (RATE_COUNT + 2,); at last slower, faster rates."""
-    factor = SPACING * math.sin(math.pi * order) / math.pi
-    slow = factor * RATES[0] ** order / math.expm1(SPACING * order)
+def relaxation_weights(order: float | Array) -> Array:
+    """Return the weights of relaxation, shape (RATE_COUNT + 2, ...); at last slower, faster rates.
+
+    `order`: of shape (...).
+    """
+    factor = SPACING * np.sin(np.pi * order) / np.pi
+    slow = factor * RATES[0] ** order / np.expm1(SPACING * order)
     # A fast exponential meets a change of phi as its rate times 1 / lambda.
-    fast = factor * RATES[-1] ** (order - 1.0) / math.expm1(SPACING * (1.0 - order))
-    return np.concatenate([factor * RATES**order, [slow, fast]])
+    fast = factor * RATES[-1] ** (order - 1.0) / np.expm1(SPACING * (1.0 - order))
+    return np.concatenate([factor * np.power.outer(RATES, order), [slow, fast]])
 
 
 def left_after(times: float | Array) -> Array:
