@@ -23,6 +23,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import blas
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.cells import Path, Press
@@ -39,7 +40,6 @@ from fden_ros.core.estimation.grid import (
     log_sum,
     of_stiffness,
     prior_of_log_g,
-    solved,
     tempered,
     whitened,
 )
@@ -131,8 +131,8 @@ class Filter:
         self._prior_of_log_g = prior_of_log_g(law)
         self.count, width = white.shape
         size = self.count + _ROOM
-        self.lower = np.zeros((size, size), order="F")
-        self.lower[: self.count, : self.count] = lower
+        self.lower = np.zeros(size * (size + 1) // 2)  #: rows of L, one after the other
+        self.lower[: self.count * (self.count + 1) // 2] = lower[np.tril_indices(self.count)]
         self.white = np.zeros((size, width))
         self.white[: self.count] = white
         self.products = white[:, self._heads : self._heads + law.size].T @ white
@@ -159,7 +159,7 @@ class Filter:
     @property
     def is_full(self) -> bool:
         """Whether there is no room for another cell."""
-        return self.count >= len(self.lower)
+        return self.count >= len(self.white)
 
     def _mix(self) -> None:
         """Weigh the nodes."""
@@ -223,7 +223,8 @@ class Filter:
     def _take(self, row: _Row, stress: float) -> CellInnovation:
         n, heads, k = self.count, self._heads, self._heads + self.grid.law.size
         own, root, white = self._whitened(row, stress)
-        self.lower[n, :n], self.lower[n, n], self.white[n] = own, root, white
+        end = n * (n + 1) // 2
+        self.lower[end : end + n], self.lower[end + n], self.white[n] = own, root, white
         self.columns[n], self.count = row.column, n + 1
         self._walks[:, n] = self._walks_at(row)
         self.products = self.products + white[heads:k, None] * white
@@ -279,7 +280,7 @@ class Filter:
         n, x = self.count, self._prior @ row.column
         at = self._walks_at(row)
         across = self.columns[:n] @ x + self._walks[0, :n] + row.gain * self._walks[1, :n]
-        own = solved(self.lower[:n, :n], across[:, None])[:, 0]
+        own = blas.dtpsv(n, self.lower[: n * (n + 1) // 2], across, lower=0, trans=1)
         variance = float(row.column @ x) + at[0] + row.gain * at[1] + row.noise
         root = math.sqrt(max(variance * (1.0 + JITTER) - float(own @ own), 1e-30))
         shift = row.column @ self.grid.covariance.expected

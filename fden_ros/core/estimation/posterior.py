@@ -87,7 +87,7 @@ class Posterior:
         stiffness, contact_point_sd = (law.slots[k - RIG][0].sd for k in at)
         gain = np.maximum(1.0 + stiffness * self.states[at[0]], _LEAST_GAIN)
         by_state[0, at[0]], by_state[1, at[1]] = stiffness / gain, contact_point_sd
-        rows, left = by_state[[0, 1], at], (self.grid.prior - self.known)[np.ix_(at, at)]
+        rows, left = by_state[[0, 1], at], self.left[np.ix_(at, at)]
         by_g = np.array([[1.0], [0.0]]) - rows * self.by_response[at]
         covariance = np.einsum("im,ij,jm->ijm", rows, left, rows)
         covariance += by_g[:, None] * by_g * self.stiffness.variance
@@ -157,6 +157,11 @@ class Posterior:
         return self.state.products[:, heads : heads + self.grid.law.size]
 
     @functools.cached_property
+    def left(self) -> Array:
+        """The covariance of the unknowns at a given G, (k, k)."""
+        return np.asarray(self.grid.prior - self.known)
+
+    @functools.cached_property
     def states(self) -> Array:
         """The unknowns z of each node given all data, (k, M)."""
         cells, products = self.grid.cells, self.state.products
@@ -173,13 +178,12 @@ class Posterior:
         deepest : float
             Largest indentation [1].
         """
-        grid, law = self.grid, self.grid.law
+        law = self.grid.law
         if not law.config.uncertainty.characteristic_sd:
             return None
         state = self.states @ self.weights
         off = (self.states - state[:, None]) * np.sqrt(self.weights)
-        covariance = grid.prior - self.known
-        covariance += off @ off.T
+        covariance = self.left + off @ off.T
         mean, _ = self.tissue
         # From 0.03 of the elapsed time on, and from a tenth of the largest strain.
         times = np.geomspace(0.03 * elapsed, elapsed, _PLACES)

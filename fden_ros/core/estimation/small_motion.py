@@ -149,8 +149,7 @@ class SmallMotion:
     def _variances(self, row: Array) -> Array:
         """Return the variances of ln k whose derivatives by the state are given, (k, M)."""
         posterior = self.posterior
-        grid = posterior.grid
-        left = np.einsum("km,km->m", row, (grid.prior - posterior.known) @ row)
+        left = np.einsum("km,km->m", row, posterior.left @ row)
         by_g = 1.0 - np.einsum("km,km->m", row, posterior.by_response)
         found = np.maximum(left, 0.0) + by_g**2 * posterior.stiffness.variance
         return np.asarray(self.variance_factor * found + self.unseen)
