@@ -20,8 +20,8 @@ LONGEST_FILTER = 0.05
 #: side. What is this many times the power of the filtered noise is a line, and left out.
 _LEAST_COUNT, _FREQUENCIES, _LIKELIER, _SMEARED, _LINE = 64, 400, 6.0, 2, 10.0
 #: Hann's window correlates neighbouring frequencies: this share of them is independent. The time
-#: of the filter is below that returned with this probability.
-_INDEPENDENT, _SURE = 0.5, 0.95
+#: of the filter is below that returned with this probability, by a standard deviation.
+_INDEPENDENT, _SURE = 0.5, 0.84
 #: Variances of white noise behind the filter, in that of the filtered noise.
 _SHARES: Array = np.array([0.0, 0.003, 0.01, 0.03, 0.1, 0.3])
 
@@ -58,7 +58,7 @@ def filter_time(times: Array, forces: Array, step: float) -> float:
     first, second = 1.0 / (1.0 + squares), 1.0 / (1.0 + squares**2)
     spectra = np.concatenate([first + shares, second + math.sqrt(0.5) * shares])
     constants = np.concatenate([constants, math.sqrt(2.0) * constants])
-    places = np.arange(power.size)
+    places = np.arange(float(power.size))
     while places.size > 4 * _SMEARED:
         count, level = places.size, (power / spectra).mean(axis=2)
         misfit = np.log(spectra).mean(axis=2) + np.log(level)
