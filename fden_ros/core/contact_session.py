@@ -214,12 +214,13 @@ class ContactSession:
     def _hover(self, pair: Pair) -> Iterator[Output]:
         """Add a pair in the air; yield a state per block duration, and summaries that are due."""
         contact, stamp_ns = self._contact, pair.stamp_ns
-        yield from self._lead(lambda contact: contact.hover(pair))
+        if contact is not None:
+            yield from contact.hover(pair)
         if self._common.sums.passes(stamp_ns):
             yield self._state(stamp_ns)
-        if contact is not None and contact.is_due(stamp_ns):
-            yield from self._lead(lambda contact: contact.summarize(stamp_ns))
         if contact is not None:
+            if contact.is_due(stamp_ns):
+                yield from contact.summarize(stamp_ns)
             contact.settle(stamp_ns)
 
     def _state(self, stamp_ns: int) -> TissueState:

@@ -710,7 +710,7 @@ def _damped(own: Weighed, wanted: Expansion) -> Expansion:
     before = start.about.at(slice(None), wanted.theta[None])[:RIG, 0]
     step = wanted.state[:RIG] - before
     if np.max(np.abs(step)) < _SMALL_STEP:
-        return law.stressed(wanted)
+        return wanted
     scales = start.scales
     roots = zip(covariance.roots, scales.smooth, strict=True)
     inverse = [(places, np.linalg.pinv(size * root)) for (places, root), size in roots if size]
@@ -747,4 +747,4 @@ def rounds(law: Law, noise: Noise, most: int = 12) -> Iterator[Grid]:
         yield grid
         if grid.is_settled:
             break
-        start = grid.after
+        start = grid.after._replace(about=law.stressed(grid.after.about))
