@@ -40,9 +40,9 @@ from fden_ros.core.arrays import CLEAR, NOT_BY_CHANCE, Array
 from fden_ros.core.estimation import (
     MOST_BLOCKS,
     NOTHING_UNKNOWN,
-    CellInnovation,
     Estimate,
     Estimator,
+    Innovation,
     Setting,
     Touch,
     claims_of,
@@ -285,7 +285,7 @@ class PaperFilter(Estimator):
         self._is_over = True
         return self.estimate()
 
-    def _pass(self, times: Array, places: Array, stress: float) -> CellInnovation:
+    def _pass(self, times: Array, places: Array, stress: float) -> Innovation:
         """Add the motion of a block and its mean stress [Pa]."""
         before, block = self._weighed, self._block_of(times, places, stress)
         response = self._grid.add(block)
@@ -303,7 +303,7 @@ class PaperFilter(Estimator):
         stresses += before.bias
         predicted = float(before.weights @ stresses)
         variance = block.noise + float(before.weights @ (spread + (stresses - predicted) ** 2))
-        return CellInnovation(predicted, stress - predicted, variance)
+        return Innovation(predicted, stress - predicted, variance)
 
     def _block_of(self, times: Array, places: Array, stress: float) -> _Block:
         """Return a block with the motion by means over a few parts of it."""

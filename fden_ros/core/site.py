@@ -280,7 +280,7 @@ class Site(Standing):
                 _check_finite(found.innovation, found.variance)
                 # The stress before is measured: the newest alone differs from its prediction.
                 predicted = fractional_stress - float(weights[-1]) * found.innovation
-                innovation = Innovation(predicted, *found)
+                innovation = found._replace(predicted_fractional_stress=predicted)
             if self._estimator.is_changed:
                 self.withdraw(Flag.TISSUE_CHANGED)
             if not is_silent or self.estimate is None:

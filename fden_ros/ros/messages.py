@@ -235,10 +235,10 @@ def state_of(message: TissueEstimate) -> TissueState:
         if valid & TissueEstimate.VALID_SIGNALS
         else None,
         innovation=Innovation(
-            message.predicted_fractional_stress,
             message.predicted_stress,
             message.innovation,
             message.innovation**2 / (message.normalized_innovation_squared or 1.0),
+            message.predicted_fractional_stress,
         )
         if valid & TissueEstimate.VALID_INNOVATION
         else None,

@@ -35,7 +35,7 @@ from fden_ros.core.estimation.estimator_config import (
     Prior,
     Uncertainty,
 )
-from fden_ros.core.estimation.face import CellInnovation, Estimator, Innovation, Setting, Touch
+from fden_ros.core.estimation.face import Estimator, Innovation, Setting, Touch
 
 if TYPE_CHECKING:
     from fden_ros.core.estimation.discrepancy import kernel_change
@@ -49,7 +49,6 @@ __all__ = [
     "NOTHING_UNKNOWN",
     "PUBLISHED",
     "Budget",
-    "CellInnovation",
     "Component",
     "Estimate",
     "Estimator",

@@ -76,8 +76,16 @@ class Press:
 
     @functools.cached_property
     def into_moments(self) -> Array:
-        """What makes the moments at its end of stresses at its cells, (33, N)."""
-        return _moments_of(self)
+        """What makes the moments at its end of stresses at its cells, (33, N).
+
+        The stress is linear between the cells, from 0 at the first point to 0 at the end.
+        """
+        times = np.concatenate([self.times[:1], self.middles, [self.end]])
+        step = np.diff(times)
+        y = np.maximum(np.outer(CREEP_RATES, step), 1e-4)
+        m1 = -np.expm1(-y) / y
+        m2, left = (1.0 - m1) / y, step * np.exp(-np.outer(CREEP_RATES, times[-1] - times[1:]))
+        return (left * m2)[:, :-1] + (left * (m1 - m2))[:, 1:]
 
     def appended(self, tails: Sequence[Press]) -> Press:
         """Return the press with more points and cells behind."""
@@ -411,17 +419,3 @@ class Place:
 def _slices(sizes: Sequence[int]) -> list[slice]:
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(begin, end) for begin, end in itertools.pairwise(ends)]
-
-
-def _moments_of(press: Press) -> Array:
-    """Return what makes the moments at the press's end of stresses at its cells, (33, N).
-
-    The stress is linear between the cells, from 0 at the first point to 0 at the end.
-    """
-    times = np.concatenate([press.times[:1], press.middles, [press.end]])
-    step = np.diff(times)
-    y = np.maximum(np.outer(CREEP_RATES, step), 1e-4)
-    m1 = -np.expm1(-y) / y
-    m2, left = (1.0 - m1) / y, step * np.exp(-np.outer(CREEP_RATES, times[-1] - times[1:]))
-    own = np.pad(left * (m1 - m2), ((0, 0), (0, 1))) + np.pad(left * m2, ((0, 0), (1, 0)))
-    return own[:, 1:-1]

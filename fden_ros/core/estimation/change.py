@@ -15,7 +15,7 @@ import math
 
 from fden_ros.core.arrays import LIKELY
 from fden_ros.core.estimation.cells import Press
-from fden_ros.core.estimation.face import CellInnovation
+from fden_ros.core.estimation.face import Innovation
 from fden_ros.core.estimation.filter import Filter
 
 #: A block is explained within as many standard deviations, a change begins beyond these [1], and
@@ -47,9 +47,9 @@ class ChangeGate:
         self._side = 0.0
         self._blind = 0  #: blocks since, of which none is off
 
-    def see(self, filter_: Filter, tail: Press, found: CellInnovation) -> None:
+    def see(self, filter_: Filter, tail: Press, found: Innovation) -> None:
         """Take a block and its innovation; the filter has learned from it."""
-        stress, now = found.predicted + found.innovation, float(tail.middles[0])
+        stress, now = found.predicted_stress + found.innovation, float(tail.middles[0])
         self._largest = max(self._largest, abs(stress))
         self.is_doubtful = found.normalized_squared > _DEVIATIONS**2
         if not (self._count or self.is_doubtful or filter_.is_coarse):
@@ -63,10 +63,10 @@ class ChangeGate:
         self.is_doubtful, self.is_beyond = True, beyond > 0.0
         if self._count >= _BLOCKS and now - self._since >= _TIME:
             # An error of the curve grows with the depth: it is less than the stress has grown by.
-            self.is_changed |= beyond > abs(own.predicted - self._explained)
+            self.is_changed |= beyond > abs(own.predicted_stress - self._explained)
             self._trust(filter_, stress)
 
-    def _compared(self, tail: Press, stress: float) -> CellInnovation | None:
+    def _compared(self, tail: Press, stress: float) -> Innovation | None:
         """Compare a block with the trusted filter; None: it is not off that."""
         if (trusted := self._trusted) is None or (own := trusted.compared(tail, stress)) is None:
             return None

@@ -233,17 +233,17 @@ class Estimate(NamedTuple):
     @property
     def linear_stiffness_sd(self) -> float:
         """Standard deviation of G to first order [Pa s^alpha]."""
-        return self.linear_stiffness * self._deviation(StateIndex.LOG_LINEAR_STIFFNESS)
+        return self.linear_stiffness * float(self.deviations[0])
 
     @property
     def nonlinear_stiffness_sd(self) -> float:
         """Standard deviation of Gn to first order [1]."""
-        return self.nonlinear_stiffness * self._deviation(StateIndex.LOG_NONLINEAR_STIFFNESS)
+        return self.nonlinear_stiffness * float(self.deviations[1])
 
     @property
     def fractional_order_sd(self) -> float:
         """Standard deviation of alpha [1]."""
-        return self._deviation(StateIndex.FRACTIONAL_ORDER)
+        return float(self.deviations[2])
 
     @property
     def exponential_scale(self) -> float:
@@ -270,9 +270,6 @@ class Estimate(NamedTuple):
         if self.law_error is not None:
             found |= zip(of_law, self.law_error, strict=True)
         return found
-
-    def _deviation(self, index: StateIndex) -> float:
-        return math.sqrt(max(float(self.covariance[index, index]), 0.0))
 
 
 #: Numbers of an estimate that leave the core, by their names, which are those of the fields of the

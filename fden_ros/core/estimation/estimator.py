@@ -28,7 +28,7 @@ from fden_ros.core.estimation.estimate import (
     moments,
 )
 from fden_ros.core.estimation.estimator_config import Prior
-from fden_ros.core.estimation.face import CellInnovation, Estimator, Setting, Touch
+from fden_ros.core.estimation.face import Estimator, Innovation, Setting, Touch
 from fden_ros.core.estimation.grid import Grid
 from fden_ros.core.estimation.place import PlacePosterior
 from fden_ros.core.estimation.posterior import Posterior
@@ -255,7 +255,7 @@ class GridEstimator(Estimator):
         return max(self._hypotheses, key=lambda one: one.log_weight).place
 
     @property
-    def innovation(self) -> CellInnovation | None:  # type: ignore[override]
+    def innovation(self) -> Innovation | None:  # type: ignore[override]
         """Of the newest block; None: it was not predicted."""
         return self.best.innovation
 

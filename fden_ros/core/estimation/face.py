@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -34,26 +35,13 @@ class Touch(NamedTuple):
     approach: Array
 
 
-class CellInnovation(NamedTuple):
-    """How the newest block compares with its prediction [Pa, Pa, Pa^2]."""
-
-    predicted: float
-    innovation: float
-    variance: float
-
-    @property
-    def normalized_squared(self) -> float:
-        """Normalised innovation squared (NIS) [1]."""
-        return self.innovation**2 / self.variance
-
-
 class Innovation(NamedTuple):
-    """The same with the fractional stress, as it is published."""
+    """How the newest block compares with its prediction."""
 
-    predicted_fractional_stress: float  #: [Pa s^alpha]
     predicted_stress: float  #: [Pa]
     innovation: float  #: observed less predicted [Pa]
     variance: float  #: of the innovation [Pa^2]
+    predicted_fractional_stress: float = math.nan  #: [Pa s^alpha]; NaN: not known
 
     @property
     def normalized_squared(self) -> float:
@@ -66,11 +54,11 @@ class Estimator:
 
     Attributes
     ----------
-    innovation : CellInnovation or None
+    innovation : Innovation or None
         Of the newest block; None: it was not predicted.
     """
 
-    innovation: CellInnovation | None
+    innovation: Innovation | None
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""

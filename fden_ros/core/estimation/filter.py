@@ -29,7 +29,7 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.cells import Path, Press
 from fden_ros.core.estimation.covariance import JITTER, Scales
 from fden_ros.core.estimation.discrepancy import KERNEL, KERNEL_HATS
-from fden_ros.core.estimation.face import CellInnovation
+from fden_ros.core.estimation.face import Innovation
 from fden_ros.core.estimation.grid import (
     Grid,
     Stiffness,
@@ -202,7 +202,7 @@ class Filter:
         slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
         return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
 
-    def append(self, tail: Press) -> CellInnovation | None:
+    def append(self, tail: Press) -> Innovation | None:
         """Take the tail of the path; None: it was not observed, or there is no room."""
         row = self._row(tail)
         if row is None or self.is_full:
@@ -211,16 +211,16 @@ class Filter:
         self._taken.append((row, stress))
         return self._take(row, stress)
 
-    def compared(self, tail: Press, stress: float) -> CellInnovation | None:
+    def compared(self, tail: Press, stress: float) -> Innovation | None:
         """Compare the tail of the path with its prediction, and go along it without its stress."""
         # A press that was gathered anew may begin elsewhere.
         row = self._row(replace(tail, start=self.grid.law.place.presses[-1].start))
         if row is None:
             return None
         ((mean, variance),) = self._predicted([row])
-        return CellInnovation(mean, stress - mean, variance)
+        return Innovation(mean, stress - mean, variance)
 
-    def _take(self, row: _Row, stress: float) -> CellInnovation:
+    def _take(self, row: _Row, stress: float) -> Innovation:
         n, heads, k = self.count, self._heads, self._heads + self.grid.law.size
         own, root, white = self._whitened(row, stress)
         end = n * (n + 1) // 2
@@ -235,7 +235,7 @@ class Filter:
         self._rest = self._rest + 0.5 * seen**2 + math.log(root)
         self._now = self._weighed(self._now.log_g)
         self._mix()
-        return CellInnovation(stress - off, off, variance)
+        return Innovation(stress - off, off, variance)
 
     def ahead(self, times: Array, indentations: Array) -> tuple[Array, Array]:
         """Return mean and variance of the stress along a motion to come [Pa, Pa^2], (n,) each.

@@ -382,7 +382,7 @@ class Law:
         Each press of the place meets the free surface of those before.
         """
         which, weights, back, by_errors = self.kernels_of(nodes, about)
-        groups, place, k = _groups_of(which), self.place, self.size
+        place, k = self.place, self.size
         model = np.zeros((place.cell_slices[-1].stop, which.size))
         loads, gains, steepest = np.zeros((3, len(model)))
         older = np.outer(
@@ -402,8 +402,8 @@ class Law:
                 -1, *press.memory.shape[1:]
             )
             rises, own = np.diff(drive.model, axis=0, prepend=0.0), model[cells]
-            for kernel, group in zip(kernels, groups, strict=True):
-                own[:, group] = kernel @ rises[:, group]
+            for j, kernel in enumerate(kernels):
+                own[:, which == j] = kernel @ rises[:, which == j]
             stresses, columns = own[:, 0], own[:, 1 : 1 + k]
             if self.has_kernel_error:
                 left = press.memory @ rises[:, 0]
@@ -420,7 +420,9 @@ class Law:
 
     def add_stress_columns(self, press: Press, stresses: Array, columns: Array) -> None:
         """Add what changes the stress of a press directly to the columns of its cells."""
-        motion, number = mean_motion(press, stresses), self.place.number_of(press)
+        first, last, number = press.first, press.last, self.place.number_of(press)
+        mean = (0.5 * (v[first] + v[last]) for v in (press.indentations, press.speeds))
+        motion = Motion(press.middles - press.start, *mean, stresses)
         for k, (one, presses) in enumerate(self.slots, RIG):
             if not one.moves and number in presses:
                 columns[:, k] = one.column(motion)
@@ -442,13 +444,6 @@ class Law:
         return replace(about, stresses=np.concatenate(found))
 
 
-def mean_motion(press: Press, stresses: Array) -> Motion:
-    """Return the mean motion over the cells of a press."""
-    first, last = press.first, press.last
-    speeds, indentations = (0.5 * (v[first] + v[last]) for v in (press.speeds, press.indentations))
-    return Motion(press.middles - press.start, indentations, speeds, stresses)
-
-
 def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:
     """Return load, stiffness and largest stiffness of cells."""
     first, last = press.first, press.last
@@ -463,11 +458,6 @@ def _pushed(model: Array, size: int) -> Array:
     found = np.maximum(model, 0.0)
     found[:, 1 : 1 + size] = model[:, 1 : 1 + size] * (model[:, :1] > 0.0)
     return found
-
-
-def _groups_of(which: Indices) -> list[Indices]:
-    order = np.argsort(which, kind="stable")
-    return list(np.split(order, np.cumsum(np.bincount(which))[:-1]))
 
 
 class Plateau(Law):

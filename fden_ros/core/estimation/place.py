@@ -21,7 +21,7 @@ from fden_ros.core.estimation.cells import CREEP_RATES, Place, Press, gathered
 from fden_ros.core.estimation.change import ChangeGate
 from fden_ros.core.estimation.covariance import Noise
 from fden_ros.core.estimation.estimate import LawError
-from fden_ros.core.estimation.face import CellInnovation, Setting, Touch
+from fden_ros.core.estimation.face import Innovation, Setting, Touch
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import (
     Grid,
@@ -74,7 +74,7 @@ class PlacePosterior:
     ----------
     filter : Filter or None
         The weighted nodes; None: there are none yet.
-    innovation : CellInnovation or None
+    innovation : Innovation or None
         Of the newest block.
     gate : ChangeGate
         Says whether the tissue under the probe has changed since the touch.
@@ -85,7 +85,7 @@ class PlacePosterior:
     def __init__(self, setting: Setting, noise_sd: float = 0.0) -> None:
         self.setting = setting
         self.filter: Filter | None = None
-        self.innovation: CellInnovation | None = None
+        self.innovation: Innovation | None = None
         self.deepest = -math.inf
         self.now = 0.0
         self.noise_sd = noise_sd
@@ -234,7 +234,7 @@ class PlacePosterior:
             return False
         return True
 
-    def _see_innovation(self, found: CellInnovation) -> None:
+    def _see_innovation(self, found: Innovation) -> None:
         """Look for a change, but in a retreat: a force ahead of the motion falls before that."""
         assert self.filter is not None
         self.innovation, newest = found, self._tails[-1]
