@@ -118,15 +118,10 @@ class Budget:
     stress_noise: float  #: standard deviation of the stress per sample [Pa]
     surface_sd: float  #: of the compression at which the tissue begins [1]
 
-    def largest(self, index: int, least: float = 0.1) -> tuple[str, ...]:
-        """Return the sources of ln G (`index` 0) or ln Gn (1), the largest first.
-
-        Those with less than the share `least` of the variance are left out.
-        """
-        whole = self.variances[index]
-        found = {name: part[index] for name, part in self.parts.items()}
-        names = sorted(found, key=lambda name: -found[name])
-        return tuple(name for name in names if found[name] > least * whole)
+    def largest(self, index: int) -> tuple[str, ...]:
+        """Return the sources of more than a tenth of ln G (`index` 0) or ln Gn (1), by size."""
+        names = sorted(self.parts, key=lambda name: -self.parts[name][index])
+        return tuple(name for name in names if self.share(name, index) > 0.1)
 
     def share(self, source: str, index: int) -> float:
         """Return a source's share of the variance [1]."""

@@ -106,8 +106,8 @@ class Filter:
         self._taken: list[tuple[_Row, float]] = []  #: new cells, and their stresses [Pa]
         self._begin(grid.start.scales, grid.lower, grid.white, grid.stiffness)
         # Rates of the lead, its changes, and the nodes.
-        driven = linear.drive.model
-        rises, self._driven = np.diff(driven, axis=0, prepend=0.0), driven[-1]
+        rises = np.diff(linear.driven, axis=0, prepend=0.0)
+        self._driven = linear.driven[-1]
         elapsed = np.diff(press.times, prepend=press.times[0])
         y = np.maximum(np.multiply.outer(RATES, elapsed), 1e-12)
         since = press.times[-1] - press.times
@@ -305,9 +305,9 @@ class Filter:
         """Take the points of a block; return the row of its cell, None where it has none."""
         grid, law = self.grid, self.grid.law
         times, newest = tail.times, self.path.times[-1]
-        drive = law.drive(tail, self.stress_ahead(times), grid.linear.at, grid.linear.free)
+        at, free = grid.linear.at, grid.linear.free
+        driven, slopes = law.drive(tail, self.stress_ahead(times), at, free)
         self.path = self.path.after(tail)
-        driven = drive.model
         rises = driven - np.concatenate([self._driven[None], driven[:-1]])
         seconds = np.maximum(times - np.concatenate([[newest], times[:-1]]), 1e-9)
         y = np.maximum(np.multiply.outer(RATES, seconds), 1e-12)
@@ -335,7 +335,7 @@ class Filter:
         if law.has_kernel_error:
             column[KERNEL] = (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
         law.add_stress_columns(tail, total[:1], column[None])
-        load, gain, steepest = of_cells(tail, drive)
+        load, gain, steepest = of_cells(tail, driven[:, 0], slopes)
         noise = grid.covariance.noise_of(tail, gain, steepest, total[:1])
         return self._row_of(tail, total[:k], total[k:], float(load[0]), float(gain[0]), noise)
 

@@ -41,10 +41,9 @@ _LEAST_EFFECTIVE = 0.46
 #: And along each axis of the box below this part of its standard deviation [1]: of one narrower
 #: than 0.4 nearly all weight may lie at one place.
 _LEAST_WIDTH = 0.3
-#: A scale replaces the leading one where the log evidence gains this [1].
+#: A change of the log evidence that is one: a scale leads where it gains this, and a grid whose
+#: evidence changes by less is settled [1].
 _LEAST_GAIN = 0.5
-#: A grid is settled where its log evidence has changed by less than this [1].
-_SETTLED_GAIN = 0.5
 #: A law that is said to be exact does not describe data whose chi squared is above this times the
 #: cells, and as many of its standard deviations above them [1].
 _MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
@@ -486,7 +485,7 @@ def laid(law: Law, noise: Noise, start: Start) -> Grid:
         box = _between(start.box, box)
     mixture, scales = _likely_scales(own)
     total = float(log_sum(own.log))
-    is_near = abs(total - start.log_evidence) < _SETTLED_GAIN or start.is_continued
+    is_near = abs(total - start.log_evidence) < _LEAST_GAIN or start.is_continued
     settled = (
         not is_coarse
         and has_width

@@ -76,21 +76,12 @@ class AtNodes(NamedTuple):
     moving: Array  #: what moves the points, in deviations, (moves, 1 + M)
 
 
-class Drive(NamedTuple):
-    """What drives the relaxation at points of one press.
-
-    A model has columns of the leading node, times its G, of the changes of that by the k unknowns,
-    and of M nodes for G = 1.
-    """
-
-    model: Array  #: psi less the free surface, (n, 1 + k + M)
-    slopes: Array  #: of the leading node's stress by the indentation, (n,)
-
-
 class Moments(NamedTuple):
     """Moments of the stress of presses at the rates of the creep.
 
-    Times the weights of the creep they are the free surface that these presses have left.
+    Times the weights of the creep they are the free surface that these presses have left. A model
+    is an array with columns of the leading node, times its G, of the changes of that by the k
+    unknowns, and of M nodes for G = 1.
     """
 
     end: float  #: when they ended [s]
@@ -119,7 +110,7 @@ class Linear(NamedTuple):
     loads: Array  #: psi at the cells [Pa s^alpha], (N,)
     gains: Array  #: stress by indentation at the cells, without relaxation, (N,)
     steepest: Array  #: the same at the steeper end of a cell, (N,)
-    drive: Drive  #: of the newest press
+    driven: Array  #: the model of psi less the free surface, at the points of the newest press
     free: Moments | None  #: the free surface before that; None: no press was before
     weights: Array  #: of the relaxation of each column of a model by rate, (34, 1 + k + M)
     at: AtNodes
@@ -308,8 +299,18 @@ class Law:
         both = np.vstack([about.theta, nodes])
         return AtNodes(about, both, about.at(CURVE, both), about.at(self.moving, both))
 
-    def drive(self, press: Press, stresses: Array, at: AtNodes, free: Moments | None) -> Drive:
-        """Return what drives points of a press; `stresses`: there, by the model [Pa]."""
+    def drive(
+        self, press: Press, stresses: Array, at: AtNodes, free: Moments | None
+    ) -> tuple[Array, Array]:
+        """Return what drives the relaxation at points of a press; `stresses`: there [Pa].
+
+        Returns
+        -------
+        model : ndarray, shape (n, 1 + k + M)
+            psi less the free surface.
+        slopes : ndarray, shape (n,)
+            Of the leading node's stress by the indentation.
+        """
         moves = self.moves(press, stresses, at.about)
         strain, by_u = self.strain(self.indentations(press, at.nodes[:, -1]) + moves @ at.moving)
         n, k, lead_strain = press.times.size, self.size, strain[:, 0]
@@ -328,9 +329,9 @@ class Law:
         changes[:, CURVE] = lead[:, None] * basis
         changes[:, self.moving] = slopes[:, None] * moves
         if free is None:
-            return Drive(model, slopes)
+            return model, slopes
         model -= free.left(press)
-        return Drive(_pushed(model, k), slopes * (model[:, 0] > 0.0))
+        return _pushed(model, k), slopes * (model[:, 0] > 0.0)
 
     # The stress of the cells
 
@@ -397,11 +398,11 @@ class Law:
             elif past.model.any():
                 free = past.times(back[:, which])
                 free.model[:, 1 : 1 + k][:, KERNEL] += free.model[:, :1] * by_errors
-            drive = self.drive(press, about.stresses[points], at, free)
+            driven, slopes = self.drive(press, about.stresses[points], at, free)
             kernels = (weights.T @ press.memory.reshape(len(weights), -1)).reshape(
                 -1, *press.memory.shape[1:]
             )
-            rises, own = np.diff(drive.model, axis=0, prepend=0.0), model[cells]
+            rises, own = np.diff(driven, axis=0, prepend=0.0), model[cells]
             for j, kernel in enumerate(kernels):
                 own[:, which == j] = kernel @ rises[:, which == j]
             stresses, columns = own[:, 0], own[:, 1 : 1 + k]
@@ -409,11 +410,11 @@ class Law:
                 left = press.memory @ rises[:, 0]
                 columns[:, KERNEL] += (weights[:, :1] * left).T @ KERNEL_HATS
             self.add_stress_columns(press, stresses, columns)
-            loads[cells], gains[cells], steepest[cells] = of_cells(press, drive)
+            loads[cells], gains[cells], steepest[cells] = of_cells(press, driven[:, 0], slopes)
             if q + 1 < len(place.presses):
                 past = past.after(press, own, k)
         linear = Linear(
-            model[:, 0], model[:, 1 : 1 + k], loads, gains, steepest, drive, free,
+            model[:, 0], model[:, 1 : 1 + k], loads, gains, steepest, driven, free,
             weights[:, which], at,
         )  # fmt: skip
         return model[:, 1 + k :], linear
@@ -421,8 +422,9 @@ class Law:
     def add_stress_columns(self, press: Press, stresses: Array, columns: Array) -> None:
         """Add what changes the stress of a press directly to the columns of its cells."""
         first, last, number = press.first, press.last, self.place.number_of(press)
-        mean = (0.5 * (v[first] + v[last]) for v in (press.indentations, press.speeds))
-        motion = Motion(press.middles - press.start, *mean, stresses)
+        points = press.indentations, press.speeds
+        indentations, speeds = (0.5 * (values[first] + values[last]) for values in points)
+        motion = Motion(press.middles - press.start, indentations, speeds, stresses)
         for k, (one, presses) in enumerate(self.slots, RIG):
             if not one.moves and number in presses:
                 columns[:, k] = one.column(motion)
@@ -444,12 +446,11 @@ class Law:
         return replace(about, stresses=np.concatenate(found))
 
 
-def of_cells(press: Press, drive: Drive) -> tuple[Array, Array, Array]:
+def of_cells(press: Press, lead: Array, slopes: Array) -> tuple[Array, Array, Array]:
     """Return load, stiffness and largest stiffness of cells."""
     first, last = press.first, press.last
-    load = 0.5 * (np.abs(drive.model[first, 0]) + np.abs(drive.model[last, 0]))
-    gain = 0.5 * (drive.slopes[first] + drive.slopes[last])
-    steepest = np.maximum(drive.slopes[first], drive.slopes[last])
+    load = 0.5 * (np.abs(lead[first]) + np.abs(lead[last]))
+    gain, steepest = 0.5 * (slopes[first] + slopes[last]), np.maximum(slopes[first], slopes[last])
     return load, gain, steepest
 
 
