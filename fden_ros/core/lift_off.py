@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -73,17 +74,21 @@ class LiftOff:
         self._is_untouched &= force <= self._clear
 
     def is_free(
-        self, step: float, force: float, compression: float, known: KnownTissue | None
+        self,
+        step: float,
+        force: float,
+        compression: float,
+        tissue: Callable[[], KnownTissue | None],
     ) -> bool:
         """Whether the tissue has left the probe, or has not met it yet, at the next sample.
 
-        `known`: None where the law does not give the surface.
+        `tissue` returns what is known of it; None where the law does not give the surface.
         """
         hidden = 2.0 * self._clear if self._is_free else self._clear
         self._since_pressed += step
         if self._is_untouched:
             self._is_free = False
-        elif step > 0.0 and known is not None and abs(force) <= hidden:
+        elif step > 0.0 and abs(force) <= hidden and (known := tissue()) is not None:
             # Where noise hides the force, the law gives the surface.
             self._is_free = self._is_hidden_free(step, compression, known)
         elif self._is_free:

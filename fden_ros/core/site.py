@@ -101,9 +101,8 @@ class Site(Standing):
         """Whether the data contradict the law."""
         return self._estimator is not None and self._estimator.is_mismatch
 
-    @property
     def _known(self) -> KnownTissue | None:
-        """The tissue, where the estimate has converged and the law describes it."""
+        """Return the tissue, where the estimate has converged and the law describes it."""
         estimate = self.usable_estimate
         if estimate is None or not estimate.converged or self.is_mismatch:
             return None

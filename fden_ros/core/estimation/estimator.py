@@ -305,8 +305,8 @@ class GridEstimator(Estimator):
 
     def _estimate(self, parts: Sequence[_Part]) -> Estimate:
         found = self._mixed(parts) if parts else self._prior()
-        self._newest = found
-        return self._as_before()
+        self._newest = found._replace(sample_count=self._count)
+        return self._newest
 
     def _as_before(self) -> Estimate:
         """Return the newest estimate, by now."""
