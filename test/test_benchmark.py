@@ -133,6 +133,12 @@ def test_a_small_run_of_each_writes_its_figures(words, small, tmp_path, capsys):
     assert SMALL[words](figures)
 
 
+def test_tissue_that_obeys_the_law_has_no_plateau_where_the_rig_is_better_than_stated():
+    """Of an order of 0.56 and an arm's defaults, the noise of whose motion is overstated."""
+    (contact,) = exact.run_trial(15, exact.LARGEST_SAMPLES).outcome.contacts[-1:]
+    assert not contact.flags
+
+
 def test_recordings_of_others_are_held_against_their_own_curves(capsys, tmp_path, monkeypatch):
     """Three springs between plates: what they are is their modulus, and their slope."""
     folder, generator = tmp_path / "others", np.random.default_rng(3)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -226,6 +227,47 @@ def changed_press(
     own = press(row.geometry, row.rate_hz, change, number)
     parameters = {**row.parameters, **row.geometry.parameters}
     return own, of_columns(parameters, own.times, forces(own), own.displacements)[1]
+
+
+def ramp_and_hold(seed: int, start: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times [s], forces [N] and displacements [m]; the latter from a strain of `start`.
+
+    A tissue of another curve, x + 8 x^2, that relaxes by t^-0.3; from 3 s on the probe goes.
+    """
+    times = 0.01 * np.arange(1400)
+    way = np.clip(start + 0.06 * (times - 3.0), start or -0.05, 0.36)
+    strains = np.convolve(np.pad(way, 10, mode="edge"), np.ones(21) / 21, "valid")
+    curve = np.maximum(strains, 0.0) + 8.0 * np.maximum(strains, 0.0) ** 2
+    lags = np.diff((0.01 * np.arange(times.size + 1)) ** 0.7) / 0.01 / math.gamma(1.7)
+    forces = 0.4 * np.convolve(np.diff(curve, prepend=0.0), lags)[: times.size]
+    noise = 0.002 * np.random.default_rng(seed).standard_normal(times.size)
+    return times, forces + noise, 0.02 * strains
+
+
+SPECIMEN = KNOWN_RIG | {
+    "geometry.kind": "flat_punch",
+    "geometry.area": 1e-4,
+    "geometry.thickness": 0.02,
+}
+
+
+@pytest.mark.parametrize("seed", [3, 4, 6])
+def test_relaxation_of_a_tissue_of_another_curve_is_no_change(seed):
+    outputs = of_columns(SPECIMEN, *ramp_and_hold(seed))[1]
+    (summary,) = summaries_of(outputs)
+    assert not summary.flags and summary.estimate.knows(StateIndex.FRACTIONAL_ORDER)
+    assert abs(summary.estimate.fractional_order - 0.3) < 0.05
+
+
+def test_preload_of_a_record_is_no_sign_that_the_tissue_does_not_relax():
+    """It has pressed for 2 s before the record begins: its force is nearly constant."""
+    times, forces, places = ramp_and_hold(3, start=0.01)
+    parameters = {"force.measure_bias": False, "origin.source": "given"}
+    record = times[200:], forces[200:], places[200:]
+    outputs = of_columns(SPECIMEN | parameters, *record)[1]
+    states = states_of(outputs)
+    assert not any(state.flags & Flag.TISSUE_CHANGED for state in states)
+    assert abs(states[-1].estimate.fractional_order - 0.3) < 0.05
 
 
 @pytest.mark.parametrize(("seconds", "is_changed"), [(0.06, False), (0.2, True)])

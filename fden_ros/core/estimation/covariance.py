@@ -59,6 +59,8 @@ class Noise(NamedTuple):
 
     stress: float  #: [Pa]
     indentation: float = 0.0  #: [1]
+    #: Of another law, for the same cells: whose noise and motion of the surface count.
+    beside: Covariance | None = None
 
 
 class Scales(NamedTuple):
@@ -140,7 +142,7 @@ class Covariance:
         self.floor = STRAIN_FLOOR * math.exp(about.log_g)
         self.loading = Loading(self.floor, 0.0)
         self.clocks = self._clocks()
-        self.noise = self._noise_of_cells()
+        self.noise = noise.beside.noise if noise.beside else self._noise_of_cells()
         columns, clocks, least = linear.columns, self.clocks, np.minimum.outer
         #: Their columns, likewise.
         self.smooth = tuple(columns[:, at] @ root for at, root in self.roots)
@@ -175,7 +177,9 @@ class Covariance:
             rough = np.cumsum(stresses[cells] ** 2 * clock)
             parts.append((np.full(seconds.size, q), rough, *self.walked(press)))
         number, rough, force, surface = map(np.concatenate, zip(*parts, strict=True))
-        return Clocks(number, rough, force, surface, self.linear.gains * self.surface_factor)
+        beside = self._noise.beside
+        gains = beside.clocks.gain if beside else self.linear.gains * self.surface_factor
+        return Clocks(number, rough, force, surface, gains)
 
     @functools.cached_property
     def surface_factor(self) -> float:
