@@ -259,13 +259,12 @@ def test_relaxation_of_a_tissue_of_another_curve_is_no_change(seed):
     assert abs(summary.estimate.fractional_order - 0.3) < 0.05
 
 
-def test_preload_of_a_record_is_no_sign_that_the_tissue_does_not_relax():
+@pytest.mark.parametrize("start", [0.01, 0.02])
+def test_preload_of_a_record_is_no_sign_that_the_tissue_does_not_relax(start):
     """It has pressed for 2 s before the record begins: its force is nearly constant."""
-    times, forces, places = ramp_and_hold(3, start=0.01)
-    parameters = {"force.measure_bias": False, "origin.source": "given"}
-    record = times[200:], forces[200:], places[200:]
-    outputs = of_columns(SPECIMEN | parameters, *record)[1]
-    states = states_of(outputs)
+    times, forces, places = (column[200:] for column in ramp_and_hold(3, start))
+    parameters = SPECIMEN | {"force.measure_bias": False, "origin.source": "given"}
+    states = states_of(of_columns(parameters, times, forces, places - places[0])[1])
     assert not any(state.flags & Flag.TISSUE_CHANGED for state in states)
     assert abs(states[-1].estimate.fractional_order - 0.3) < 0.05
 

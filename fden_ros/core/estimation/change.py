@@ -46,9 +46,14 @@ class ChangeGate:
         self._since, self._count = 0.0, 0  #: the first block that is off [s], and how many are
         self._side = 0.0
         self._blind = 0  #: blocks since, of which none is off
+        self._unseen = self._trusted_unseen = 0.0
 
-    def see(self, filter_: Filter, tail: Press, found: Innovation) -> None:
-        """Take a block and its innovation; the filter has learned from it."""
+    def see(self, filter_: Filter, tail: Press, found: Innovation, unseen: float) -> None:
+        """Take a block and its innovation; the filter has learned from it.
+
+        `unseen`: deviation of the stress, over that, for a relaxation that no block has shown [1].
+        """
+        self._unseen = unseen
         stress, now = found.predicted_stress + found.innovation, float(tail.middles[0])
         self._largest = max(self._largest, abs(stress))
         self.is_doubtful = found.normalized_squared > _DEVIATIONS**2
@@ -70,6 +75,10 @@ class ChangeGate:
         """Compare a block with the trusted filter; None: it is not off that."""
         if (trusted := self._trusted) is None or (own := trusted.compared(tail, stress)) is None:
             return None
+        if not self._unseen:
+            # The probe has slowed down since: relaxation is seen for the first time.
+            more = (self._trusted_unseen * own.predicted_stress) ** 2
+            own = own._replace(variance=own.variance + more)
         if self._count:
             if own.innovation * self._side > LIKELY * math.sqrt(own.variance):
                 return own
@@ -86,6 +95,7 @@ class ChangeGate:
 
     def _trust(self, filter_: Filter, stress: float) -> None:
         self._trusted, self._explained = copy.copy(filter_), stress
+        self._trusted_unseen = self._unseen
         self._count, self._blind, self.is_beyond = 0, 0, False
 
     def rest(self) -> None:

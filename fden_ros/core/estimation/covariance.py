@@ -142,7 +142,7 @@ class Covariance:
         self.floor = STRAIN_FLOOR * math.exp(about.log_g)
         self.loading = Loading(self.floor, 0.0)
         self.clocks = self._clocks()
-        self.noise = noise.beside.noise if noise.beside else self._noise_of_cells()
+        self.noise: Array = noise.beside.noise if noise.beside else self._noise_of_cells()
         columns, clocks, least = linear.columns, self.clocks, np.minimum.outer
         #: Their columns, likewise.
         self.smooth = tuple(columns[:, at] @ root for at, root in self.roots)

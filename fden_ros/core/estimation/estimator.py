@@ -34,9 +34,6 @@ from fden_ros.core.estimation.place import PlacePosterior
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.small_motion import SmallMotion
 
-#: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
-#: discrepancy of the law [1]: on a ramp only the curve is.
-_UNSEEN = 0.5
 #: Odds at which a place is dropped at the end of a press, and within it [1].
 _ODDS, _FAR = 20.0, 200.0
 #: Between two grids the likelihood is that of the leading scales. So a hypothesis is weighed anew
@@ -396,13 +393,16 @@ class GridEstimator(Estimator):
         )
 
     def _small_motions(self, parts: Sequence[_Part]) -> tuple[SmallMotion, ...]:
-        sd = _UNSEEN * self._setting.config.uncertainty.characteristic_sd
-        found = []
-        for part in parts:
-            place, shift = part.hypothesis.place, part.hypothesis.shift
-            unseen = 0.0 if place.has_slowed or place.presses > 1 else sd**2
-            found.append(SmallMotion(part.posterior, self._now, part.weight, shift, unseen=unseen))
-        return tuple(found)
+        return tuple(
+            SmallMotion(
+                part.posterior,
+                self._now,
+                part.weight,
+                part.hypothesis.shift,
+                unseen=part.hypothesis.place.unseen**2,
+            )
+            for part in parts
+        )
 
 
 def _contradicts_order(prior: Prior, error: LawError | None) -> bool:

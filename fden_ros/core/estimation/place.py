@@ -61,6 +61,9 @@ _LAST_ROUNDS = 12
 #: last [1], and by the second at its end: scales that were small are left only where the columns
 #: are those of larger ones, and the log evidence was up to 15 lower.
 _AFRESH, _AFRESH_END = 2.0, 1.4
+#: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
+#: discrepancy of the law [1]: on a ramp only the curve is.
+_UNSEEN = 0.5
 #: A probe moves above this part of its largest speed [1].
 _MOVING = 0.05
 #: The probe holds below this part of its largest speed, by as many standard deviations [1].
@@ -144,6 +147,12 @@ class PlacePosterior:
             found._spot = max([*self._spots, 0]) + 1
             found._spots = self._spots | {found._spot: spot_of(contact_point_sd)}
         return found
+
+    @property
+    def unseen(self) -> float:
+        """Standard deviation of ln N/m, or of ln stress, for a relaxation not seen yet [1]."""
+        is_seen = self.has_slowed or self.presses > 1
+        return 0.0 if is_seen else _UNSEEN * self.setting.config.uncertainty.characteristic_sd
 
     @property
     def behind(self) -> int:
@@ -241,7 +250,7 @@ class PlacePosterior:
         if float(newest.speeds[-1]) < -_MOVING * self._fastest:
             self.gate.rest()
         else:
-            self.gate.see(self.filter, newest, found)
+            self.gate.see(self.filter, newest, found, self.unseen)
 
     def _see_speed(self, block: Block) -> None:
         """Take the speed of a block, as far as its noise lets it be known."""
