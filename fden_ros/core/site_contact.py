@@ -184,7 +184,7 @@ class Contact:
         results = self._account.close_block(
             pair.stamp_ns, block, learns=learns, is_silent=is_silent
         )
-        return itertools.chain(outputs, results, () if is_silent else self._work())
+        return itertools.chain(outputs, results, self._work())
 
     def _work(self) -> Iterator[Output]:
         """Let the estimator work; no output waits for it."""

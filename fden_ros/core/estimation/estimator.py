@@ -141,13 +141,14 @@ class GridEstimator(Estimator):
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
             if self._touched_at + time < self._now:
                 continue  # the press before had it
+            self.work()
             self._now = self._touched_at + time
             done = [
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
                 for one in self._hypotheses
             ]
-            has_block |= any(done)
-        self._is_new |= has_block
+            self._is_new = any(done)
+            has_block |= self._is_new
         self._count += len(times)
         return self.estimate() if has_block else self._as_before()
 
