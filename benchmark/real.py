@@ -19,7 +19,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
@@ -170,7 +170,7 @@ class Outcome:
     sd: Array  #: [N], shape (m,)
     short: Estimate
     whole: Estimate
-    summary: ContactSummary | None  #: of the whole record
+    flags: Flag  #: of the whole record
     order: float  #: of the hold itself [1]
 
     @property
@@ -196,22 +196,32 @@ def run(args: argparse.Namespace) -> Report:
     if args.quick:
         tests = _some_of(tests)
     found = measured(predict, [(test,) for test in tests], "measured tests")
-    groups: dict[str, list[Outcome | None]] = {}
+    groups: dict[str, list[Prediction]] = {}
     for test, outcome in zip(tests, found, strict=True):
         kind, day = test.kind, test.name.rpartition("/")[0]
         for name in dict.fromkeys((kind, f"{kind}, {day}" if day else kind)):
             groups.setdefault(name, []).append(outcome)
     rows = {}
     for name in sorted(groups):
-        if given := [outcome for outcome in groups[name] if outcome is not None]:
-            rows[name] = {"given": Share(len(given), len(groups[name]))} | row_of(given)
+        if given := [one.outcome for one in groups[name] if one.outcome is not None]:
+            changed = share(one.flags & Flag.TISSUE_CHANGED for one in groups[name])
+            rows[name] = {"given": Share(len(given), len(groups[name])), "changed": changed}
+            rows[name] |= row_of(given)
     tables = {"materials": Table("The rest of the hold, from the ramp and 2 s", rows)}
     return Report(_goals(rows), tables)
 
 
-def predict(test: Test) -> Outcome | None:
-    """Return the prediction from the visible part of a test; None: no estimate."""
+class Prediction(NamedTuple):
+    """What a test was found to be, and how its rest was predicted; None: no estimate."""
+
+    flags: Flag
+    outcome: Outcome | None
+
+
+def predict(test: Test) -> Prediction:
+    """Return the prediction from the visible part of a test."""
     whole, summary = identify(test)
+    flags = summary.flags if summary is not None else Flag.NONE
     pipeline, short = _fed(test, test.seen)
     times = test.times[test.seen :] - test.times[test.seen - 1]
     # The motion is a line between some points.
@@ -220,9 +230,9 @@ def predict(test: Test) -> Outcome | None:
     found = pipeline.force_ahead(points, depths)
     estimate = _estimate(short)
     if found is None or estimate is None or whole is None:
-        return None
+        return Prediction(flags, None)
     mean, sd = (np.interp(times, points, values) for values in found)
-    return Outcome(test, mean, sd, estimate, whole, summary, hold_order(test))
+    return Prediction(flags, Outcome(test, mean, sd, estimate, whole, flags, hold_order(test)))
 
 
 def identify(test: Test) -> tuple[Estimate | None, ContactSummary | None]:
@@ -276,11 +286,9 @@ def row_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     off = [(o.whole.fractional_order - o.order) / o.whole.fractional_order_sd for o in known]
     laws = [(o.whole.law_error, o.order) for o in outcomes if o.whole.law_error is not None]
     relaxation = [(law.order - order) / law.order_sd for law, order in laws]
-    flags = [o.summary.flags if o.summary is not None else Flag.NONE for o in outcomes]
     inside = [np.mean(np.abs(o.off) <= TWO_SIDED_95 * o.sd) for o in outcomes]
     return {
-        "changed": share(f & Flag.TISSUE_CHANGED for f in flags),
-        "mismatch": share(f & Flag.MODEL_MISMATCH for f in flags),
+        "mismatch": share(o.flags & Flag.MODEL_MISMATCH for o in outcomes),
         "error, median": float(np.median(errors)),
         "error, 90 %": float(np.percentile(errors, 90.0)),
         "in 95 %": float(np.mean(inside)),
