@@ -429,6 +429,7 @@ class PaperFilter(Estimator):
             **claims._asdict(),
             sample_count=self._sample_count,
             with_origin=tuple(covariance[3, :3].tolist()),
+            is_settled=is_sound,
         )
 
 
