@@ -15,6 +15,8 @@ import pytest
 from pipeline_helpers import off
 from property_helpers import counts, first
 from scipy.integrate import quad
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.estimation import (
@@ -30,6 +32,7 @@ from fden_ros.core.estimation import (
 )
 from fden_ros.core.estimation.cells import CREEP_RATES, Path, Place, Press, gathered
 from fden_ros.core.estimation.covariance import Noise, scales_of
+from fden_ros.core.estimation.discrepancy import RIG
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import (
     Cells,
@@ -41,7 +44,7 @@ from fden_ros.core.estimation.grid import (
     whitened,
 )
 from fden_ros.core.estimation.law import Expansion, Law
-from fden_ros.core.estimation.nuisance import rig_of, spot_of
+from fden_ros.core.estimation.nuisance import rig_of, spot_of, with_tails
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.record import Block, Record
 from fden_ros.core.law import FlatPunch
@@ -159,6 +162,23 @@ def test_stiffness_is_integrated_as_by_brute_force() -> None:
         assert whole == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.parametrize(("by_data", "told"), [(0.0, 1.0), (0.0, 6.0), (3.0, 1.5), (5.0, 2.5)])
+@pytest.mark.parametrize("before", [1.0, 5.0])
+def test_prior_with_tails_leaves_the_interval_of_students(
+    by_data: float, told: float, before: float
+) -> None:
+    def given(prior: float) -> tuple[float, float]:
+        variance = 1.0 / (1.0 / prior + told**-2.0)
+        return by_data * variance / told**2, variance
+
+    places = np.linspace(-60.0, 60.0, 200001)
+    share = np.cumsum(student.pdf(places, 2) * norm.pdf(places, by_data, told))
+    low, high = np.interp(norm.cdf([-1.0, 1.0]), share / share[-1], places)
+    _, variance = given(with_tails(*given(before), before))
+    least = math.sqrt(given(1.0)[1])
+    assert math.sqrt(variance) == pytest.approx(max(0.5 * (high - low), least), rel=0.01)
+
+
 def test_nodes_at_all_scales_are_weighed_as_by_the_whole_covariance() -> None:
     grid, _ = laid_on(1)
     places = scales_of(grid.law.config.uncertainty)[::7]
@@ -188,7 +208,8 @@ def test_sources_add_up_to_the_covariance_at_any_scales() -> None:
 def nowhere(law: Law, node: Array, log_g: float) -> Expansion:
     """Return an expansion about no errors of law or rig."""
     n, size = law.place.presses[0].times.size, law.size
-    return Expansion(node, log_g, np.zeros(size), np.zeros((size, 3)), np.zeros(n))
+    rig = np.ones(size - RIG)
+    return Expansion(node, log_g, np.zeros(size), np.zeros((size, 3)), np.zeros(n), rig)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -24,7 +24,9 @@ from property_helpers import counts, first
 from scipy.signal import lfilter
 from scipy.special import gamma
 
-from benchmark.robots import CASES, trial_of
+from benchmark.robots import CASES, scenario_of, trial_of
+from benchmark.robots import parameters_of as parameters_of_rig
+from benchmark.trial import last_summaries, outcome_of, through
 from fden_ros import fit
 from fden_ros.core.outputs import ContactSummary, Flag, Status
 from simulation.scenario import (
@@ -79,6 +81,31 @@ def test_tip_that_follows_behind_the_play_of_its_drive_is_not_wrong_under_a_good
             assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
             claimed += 1
     assert not stated or claimed >= 0.6 * numbers
+
+
+@pytest.mark.parametrize("compliance", [*first(5e-4), 2e-4])
+@pytest.mark.parametrize("numbers", counts(1, 6))
+def test_soft_tool_that_is_not_stated_is_not_wrong_under_a_good_status(compliance, numbers):
+    case = CASES["compliance_0.5"]
+    case = replace(case, disturbances=Disturbances(compliance_m_per_n=compliance))
+    press = Palpation(0.2, 0.25, 1.0, 0.4, presses=3)
+    for number in range(numbers):
+        scenario = scenario_of(case, number)
+        tissue = replace(scenario.sites[0].tissue, linear_stiffness=14_500.0)
+        recording = simulate(replace(scenario, sites=(Site(tissue, (press,)),)))
+        outputs = through(recording, parameters_of_rig(recording))[1]
+        found = outcome_of(recording, outputs).contacts
+        unit = 0.1**-tissue.fractional_order / gamma(1.0 - tissue.fractional_order)
+        unit *= 14_500.0 * scenario.geometry.force_per_stress / scenario.geometry.length_m
+        for contact, summary, true in zip(
+            found, last_summaries(outputs).values(), recording.truth["contacts"], strict=True
+        ):
+            if contact.flags:
+                continue
+            assert np.all(np.abs(contact.error) < 3.0 * contact.deviation)
+            own = unit * np.exp(tissue.nonlinear_stiffness * true["max_strain"] - 1.0)
+            series, stiffness = own / (1.0 + compliance * own), summary.apparent_stiffness
+            assert stiffness is None or abs(stiffness.value - series) < 3.0 * stiffness.sd
 
 
 def behind_a_filter(cutoff, **parameters):

@@ -138,7 +138,7 @@ class Covariance:
             (KERNEL, kernel_root(_order_of(law, about))),
             (CURVE, curve_root(math.exp(log_gn), law.last_knot)),
         )
-        self.variances = self._rig_variances()
+        self.variances = about.rig
         self.floor = STRAIN_FLOOR * math.exp(about.log_g)
         self.loading = Loading(self.floor, 0.0)
         self.clocks = self._clocks()
@@ -154,14 +154,6 @@ class Covariance:
         self._motion = (
             same * np.outer(clocks.gain, clocks.gain) * least(clocks.surface, clocks.surface)
         )
-
-    def _rig_variances(self) -> Array:
-        """Return the variances of the rig: with tails wider where it is off."""
-        found = np.ones(len(self.law.slots))
-        for k, (one, _) in enumerate(self.law.slots):
-            if one.has_tails:
-                found[k] = max((float(self.about.state[RIG + k]) ** 2 + 2.0) / 3.0, 1.0)
-        return found
 
     def _clocks(self) -> Clocks:
         law, stresses = self.law, self.linear.stresses

@@ -33,6 +33,8 @@ from fden_ros.core.estimation.covariance import JITTER, Covariance, Noise, Scale
 from fden_ros.core.estimation.discrepancy import CURVE, KERNEL, RIG, spline_places, splines
 from fden_ros.core.estimation.estimator_config import Uncertainty
 from fden_ros.core.estimation.law import Expansion, Law, Linear
+from fden_ros.core.estimation.nuisance import with_tails
+from fden_ros.core.parameter import TINY
 
 #: A grid reaches as many standard deviations [1].
 REACH = 3.0
@@ -403,7 +405,8 @@ def begun(law: Law, noise: Noise) -> Start:
     d, stresses = mean.size, law.place.joined("stresses")
     n = sum(press.times.size for press in law.place.presses)
     zero = np.zeros((law.size, d))
-    about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n))
+    rig = np.ones(len(law.slots))
+    about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n), rig)
     nodes, _ = _nodes(law, Box(mean, np.diag(sds)), law.broad, 2.4)
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
     # It is that of a whole press, not of each cell anew.
@@ -437,7 +440,9 @@ def continued(law: Law, grid: Grid, mean: Array, covariance: Array, log_evidence
     # The line goes through the new mean.
     state = line[:, 0] + line[:, 1:] @ (mean - about.theta)
     log_g = float(grid.weights @ grid.stiffness.log_g)
-    about = Expansion(mean, log_g, state, line[:, 1:], np.zeros(0))
+    size = len(law.slots)
+    rig = np.append(about.rig, np.ones(size))[:size]
+    about = Expansion(mean, log_g, state, line[:, 1:], np.zeros(0), rig)
     own = covariance + np.diag((0.02 * grid.start.box.deviations) ** 2)
     lower, both = np.zeros((d, d)), np.ix_(open_of(law), open_of(law))
     lower[both] = np.linalg.cholesky(own[both])
@@ -699,8 +704,27 @@ def _relinearised(own: Weighed, weights: Array) -> Expansion:
     by_theta = cross @ inverse
     by_theta[KERNEL] = cross[KERNEL] @ of_kernel
     log_g = float(weights @ own.stiffness.log_g[top])
-    wanted = Expansion(mean, log_g, state, by_theta, about.stresses)
+    rig = _with_tails(own, top, weights, told)
+    wanted = Expansion(mean, log_g, state, by_theta, about.stresses, rig)
     return _damped(own, wanted)
+
+
+def _with_tails(own: Weighed, top: Indices, weights: Array, states: Array) -> Array:
+    """Return the variances of the rig's unknowns before the data, wider where it is off, (slots,).
+
+    `top`: the nodes that count, with their weights and the unknowns there (k, M).
+    """
+    first, found = own.cells.y.shape[1] + RIG, own.covariance.variances.copy()
+    columns = own.white[:, first : first + found.size]
+    rows = own.white[:, first + found.size + top] * np.exp(own.stiffness.log_g[top])
+    known, by_g = np.einsum("ij,ij->j", columns, columns), columns.T @ rows
+    mean = states[RIG:] @ weights
+    spread = (states[RIG:] - mean[:, None]) ** 2 + by_g**2 * own.stiffness.variance[top]
+    variances = np.maximum(found - known + spread @ weights, TINY)
+    for k, (one, _) in enumerate(own.law.slots):
+        if one.has_tails:
+            found[k] = with_tails(float(mean[k]), float(variances[k]), float(found[k]))
+    return found
 
 
 def _damped(own: Weighed, wanted: Expansion) -> Expansion:

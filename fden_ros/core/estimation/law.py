@@ -60,6 +60,7 @@ class Expansion:
     state: Array  #: of the errors at their knots, and of the rig in deviations, (k,)
     by_theta: Array  #: (k, d)
     stresses: Array  #: at the points, by the model [Pa], (n,)
+    rig: Array  #: variances of the rig's unknowns before the data, in deviations, (slots,)
 
     def at(self, places: slice | list[int], nodes: Array) -> Array:
         """Return some unknowns at nodes, (k, M)."""

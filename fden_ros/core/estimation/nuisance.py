@@ -8,6 +8,7 @@ To add one, add its standard deviation to the configuration and an object to :fu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -20,11 +21,19 @@ from fden_ros.core.arrays import Array
 from fden_ros.core.estimation.discrepancy import STRAIN_FLOOR
 from fden_ros.core.estimation.estimator_config import EstimatorConfig
 from fden_ros.core.law import Geometry
+from fden_ros.core.parameter import TINY
 
 #: Speed at which friction has half of its square [m/s]: below is a hold.
 _FRICTION_SPEED = 5e-4
 #: Relative standard deviation of G between two spots of one tissue [1].
 _SPOT = 0.3
+#: Data that say less than this variance of an unknown say nothing, and largest variance of its
+#: prior, in its standard deviations [1].
+_SAYS_NOTHING, _WIDEST = 100.0, 64.0
+#: Shares of a Gaussian below one standard deviation on each side of its mean [1].
+_ONE_SD = 0.1587, 0.8413
+#: Places of the data's Gaussian at which Student's prior is weighed [1].
+_PLACES = np.linspace(-6.0, 6.0, 401)
 
 
 class Motion(NamedTuple):
@@ -123,6 +132,29 @@ def _friction(sd: float, length: float, motion: Motion) -> Array:
 
 def _drift(sd: float, motion: Motion) -> Array:
     return sd * motion.elapsed
+
+
+def with_tails(mean: float, variance: float, before: float) -> float:
+    """Return the variance of the Gaussian that stands for a prior with tails.
+
+    With it the data leave an interval of 68 % as wide as they leave of Student's prior with two
+    degrees of freedom, and no narrower than of a Gaussian of standard deviation 1. Where they say
+    nothing it is 1.3 times as wide as that.
+
+    Parameters
+    ----------
+    mean, variance, before : float
+        Of the unknown given the data, and its variance before, as a Gaussian; in its standard
+        deviations [1].
+    """
+    told = 1.0 / min(max(1.0 / variance - 1.0 / before, 1.0 / _SAYS_NOTHING), 1.0 / TINY)
+    by_data = mean / variance * told
+    places = by_data + math.sqrt(told) * _PLACES
+    weights = np.exp(-0.5 * _PLACES**2) * (1.0 + 0.5 * places**2) ** -1.5
+    total = np.cumsum(weights)
+    low, high = np.interp(_ONE_SD, total / total[-1], places)
+    left = (2.0 / (high - low)) ** 2 - 1.0 / told
+    return min(max(1.0 / max(left, 1.0 / _WIDEST), 1.0), _WIDEST)
 
 
 def rig_of(config: EstimatorConfig, geometry: Geometry, zero_sd: float, drift_sd: float) -> Rig:

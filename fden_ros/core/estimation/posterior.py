@@ -211,14 +211,15 @@ class Posterior:
     def rig_conflict(self) -> float:
         """How far the data say that the rig is from what is stated, in standard deviations [1].
 
-        Over what the data can tell of it, and at least a tenth of that.
+        Over those of what is stated and what the data say, of which a hundredth at least counts.
         """
-        law, off = self.grid.law, 0.0
-        first = law.size - len(law.slots)
-        for k, (one, _) in enumerate(law.slots, first):
+        law, before, off = self.grid.law, self.grid.prior.diagonal(), 0.0
+        for k, (one, _) in enumerate(law.slots, RIG):
             if one.has_tails:
-                told = min(max(float(self.known[k, k]), 0.01), 1.0)
-                off = max(off, abs(float(self.states[k] @ self.weights)) / math.sqrt(told))
+                told = max(float(self.known[k, k] / before[k]), 0.01)
+                variance = max(float(before[k]) * (1.0 / told - 1.0), 0.0)
+                mean = float(self.states[k] @ self.weights)
+                off = max(off, abs(mean) / told / math.sqrt(1.0 + variance))
         return off
 
     def shares(self) -> dict[str, tuple[float, float]]:
