@@ -20,8 +20,10 @@ LONGEST_FILTER = 0.05
 #: side. What is this many times the power of the filtered noise is a line, and left out.
 _LEAST_COUNT, _FREQUENCIES, _LIKELIER, _SMEARED, _LINE = 64, 400, 6.0, 2, 10.0
 #: Hann's window correlates neighbouring frequencies: this share of them is independent. The time
-#: of the filter is below that returned with this probability, by a standard deviation.
+#: of the filter is below that returned with this probability.
 _INDEPENDENT, _SURE = 0.5, 0.84
+#: Frequencies that count, as a part of the rate.
+_HIGHEST = 0.35
 #: Variances of white noise behind the filter, in that of the filtered noise.
 _SHARES: Array = np.array([0.0, 0.003, 0.01, 0.03, 0.1, 0.3])
 
@@ -47,8 +49,8 @@ def filter_time(times: Array, forces: Array, step: float) -> float:
     forces = forces - np.polyval(np.polyfit(times - times[0], forces, 1), times - times[0])
     if float(np.var(forces)) <= step**2:
         return 0.0
-    # The lowest are those of a drift.
-    own = slice(2, 2 + _FREQUENCIES)
+    # The lowest are those of a drift; the spectrum of a digital filter may vanish at the highest.
+    own = slice(2, 2 + min(_FREQUENCIES, round(_HIGHEST * count)))
     power = np.abs(np.fft.rfft(np.hanning(count) * forces)[own]) ** 2
     sines = np.sin(math.pi * period * np.fft.rfftfreq(count, period)[own])
     constants = np.geomspace(0.5 * period, 0.5 * count * period, 24)
