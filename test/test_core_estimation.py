@@ -120,7 +120,7 @@ def law_of(press: Press, uncertainty: Uncertainty) -> Law:
     config = EstimatorConfig(uncertainty=uncertainty)
     place = Place((press,), np.zeros(CREEP_RATES.size), press.start)
     rig = rig_of(config, GEOMETRY, 0.3 * NOISE, 0.1 * NOISE)
-    return Law.of(config, GEOMETRY, place, rig, CONTACT_POINT_SD)
+    return Law(config, GEOMETRY, place, rig, CONTACT_POINT_SD)
 
 
 @functools.lru_cache(maxsize=4)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -130,7 +130,6 @@ class Law:
     place: Place
     rig: Rig
     contact_point_sd: float
-    last_knot: float
 
     kernels: ClassVar = 1
     #: Nodes along each coordinate, and of the broad grid that begins.
@@ -140,23 +139,11 @@ class Law:
     has_close_nodes: ClassVar = True
     has_kernel_error: ClassVar = True
 
-    @classmethod
-    def of(
-        cls,
-        config: EstimatorConfig,
-        geometry: Geometry,
-        place: Place,
-        rig: Rig,
-        contact_point_sd: float,
-    ) -> Law:
-        """Return the law of a place."""
-        deepest = max(float(p.indentations[p.last].max()) for p in place.presses)
-        strain = geometry.strain(max(deepest + contact_point_sd, 0.0))
-        return cls(config, geometry, place, rig, contact_point_sd, last_knot(strain))
-
-    def as_kind(self, kind: type[Law]) -> Law:
-        """Return another law of the same place."""
-        return kind(*(getattr(self, field.name) for field in fields(self)))
+    @functools.cached_property
+    def last_knot(self) -> float:
+        """The strain of the last knot of epsilon [1]: beyond the largest one."""
+        deepest = max(float(p.indentations[p.last].max()) for p in self.place.presses)
+        return last_knot(self.geometry.strain(max(deepest + self.contact_point_sd, 0.0)))
 
     # What another law has otherwise
 
@@ -343,10 +330,10 @@ class Law:
         -------
         which : ndarray, shape (1 + k + M,)
             That of each column of a model.
-        weights, back : ndarray, shape (34, 1 + kernels), (33, 1 + kernels)
-            Of the relaxation and of its inverse; the expansion's own are the first.
-        by_errors : ndarray, shape (33, 11)
-            ln of the expansion's inverse, by delta at its knots.
+        weights : ndarray, shape (34, 1 + kernels)
+            By rate; the expansion's own are the first.
+        some, errors : ndarray, shape (1 + kernels, d), (11, 1 + kernels)
+            Nodes that have these, and delta there at its knots.
         """
         keys = nodes[:, : self.kernels].round(12) @ np.array([1.0, 997.0])[: self.kernels]
         _, first, own = np.unique(keys, return_index=True, return_inverse=True)
@@ -354,12 +341,12 @@ class Law:
         errors = about.at(KERNEL, some)
         weights = self.weights(some) * np.exp(KERNEL_HATS @ errors)
         which = np.append(np.zeros(1 + self.size, dtype=np.intp), 1 + own)
-        return which, weights, *self.creep(some, errors)
+        return which, weights, some, errors
 
     def response(self, about: Expansion) -> Array:
         """Return the stress of all cells at the expansion's node for G = 1, (N,)."""
         place, node = self.place, about.theta[None]
-        _, weights, back, _ = self.kernels_of(node[:0], about)
+        _, weights, some, errors = self.kernels_of(node[:0], about)
         at = self.at_nodes(about, node[:0])
         past = Moments(place.older_end, place.older[:, None] * math.exp(-about.log_g))
         found: list[Array] = []
@@ -372,7 +359,8 @@ class Law:
             if place.is_new_spot(q):
                 past = past.times(0.0)
             elif past.model.any():
-                psi = np.maximum(psi - past.times(back).left(press), 0.0)
+                free = past.times(self.creep(some, errors)[0])
+                psi = np.maximum(psi - free.left(press), 0.0)
             found.append(weights[:, 0] @ (press.memory @ np.diff(psi[:, 0], prepend=0.0)))
             if len(found) < len(place.presses):
                 past = past.after(press, found[-1][:, None], 0)
@@ -383,7 +371,7 @@ class Law:
 
         Each press of the place meets the free surface of those before.
         """
-        which, weights, back, by_errors = self.kernels_of(nodes, about)
+        which, weights, some, errors = self.kernels_of(nodes, about)
         place, k = self.place, self.size
         model = np.zeros((place.cell_slices[-1].stop, which.size))
         loads, gains, steepest = np.zeros((3, len(model)))
@@ -397,6 +385,7 @@ class Law:
             if place.is_new_spot(q):
                 past, free = past.times(0.0), None
             elif past.model.any():
+                back, by_errors = self.creep(some, errors)
                 free = past.times(back[:, which])
                 free.model[:, 1 : 1 + k][:, KERNEL] += free.model[:, :1] * by_errors
             driven, slopes = self.drive(press, about.stresses[points], at, free)
@@ -494,10 +483,6 @@ class Plateau(Law):
         found[:-2] = (1.0 - part) * between_rates(nodes[:, 1])
         found[-2] = part
         return found
-
-    def creep(self, nodes: Array, errors: Array) -> tuple[Array, Array]:
-        """Return nothing: it is asked of the first press of a place alone."""
-        return np.zeros((CREEP_RATES.size, len(nodes))), np.zeros_like(KERNEL_SLOPES)
 
     def relaxed(self, node: Array, times: Array) -> Array:
         """Return what is left of a unit step after times [s]."""

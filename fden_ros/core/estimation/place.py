@@ -307,7 +307,7 @@ class PlacePosterior:
         place = Place(presses, self._older, self._older_end or presses[0].start)
         rig = rig_of(setting.config, setting.geometry, self._touch.bias_sd, self._touch.drift_sd)
         rig = rig._replace(spots=self._spots)
-        return Law.of(setting.config, setting.geometry, place, rig, setting.contact_point_sd)
+        return Law(setting.config, setting.geometry, place, rig, setting.contact_point_sd)
 
     def _observed(self) -> list[Block]:
         """Return the blocks up to the last that was observed."""
