@@ -261,6 +261,8 @@ def test_block_by_block_is_the_batch_sum_on_the_same_nodes(shift: float | None) 
         law, covariance, grid.start.scales, Cells(y, grid.cells.off, responses)
     )
     n = state.count
+    largest = np.abs(linear.columns).max(axis=0) + 1e-12
+    np.testing.assert_allclose(state.columns[:n] / largest, linear.columns / largest, atol=1e-9)
     assert n == len(lower) == grid.cells.y.shape[0] + 25
     rows, tolerance = state.lower[: n * (n + 1) // 2], 1e-8 * lower.max()
     np.testing.assert_allclose(rows, lower[np.tril_indices(n)], rtol=0.0, atol=tolerance)

@@ -130,7 +130,7 @@ def test_behind_a_slow_filter_nothing_is_known_whatever_delay_is_stated():
 
 
 def test_a_filter_of_the_force_shows_in_its_noise_and_counts_as_a_delay():
-    contact = behind_a_filter(10.0)
+    contact = behind_a_filter(5.0)
     assert "RIG_PRIOR_CONFLICT" in contact.flags
     true = 450.0 * np.exp(9.0 * 0.3 - 1.0) * 0.1**-0.131 / gamma(1.0 - 0.131) * 3.14e-4 / 0.02
     assert abs(contact.stiffness.value - true) < 3.0 * contact.stiffness.sd

@@ -333,7 +333,7 @@ class Filter:
         k = 1 + law.size
         column = total[1:k]
         if law.has_kernel_error:
-            column[KERNEL] = (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
+            column[KERNEL] += (self._weights[:, 0] * rates[:, 0]) @ KERNEL_HATS
         law.add_stress_columns(tail, total[:1], column[None])
         load, gain, steepest = of_cells(tail, driven[:, 0], slopes)
         noise = grid.covariance.noise_of(tail, gain, steepest, total[:1])
