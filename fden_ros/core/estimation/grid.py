@@ -523,6 +523,8 @@ def _likely_scales(own: Weighed) -> tuple[list[tuple[Scales, float]], Scales]:
     best = places[int(np.argmax(sums))]
     leads = best if sums.max() > sums[places.index(start.scales)] + gain else start.scales
     likely = np.flatnonzero(sums > sums.max() - _NEGLIGIBLE_SCALE)
+    if not likely.size:
+        raise np.linalg.LinAlgError("no scale has a finite likelihood")
     weights = np.exp(sums[likely] - log_sum(sums[likely]))
     return [(places[k], w) for k, w in zip(likely, weights.tolist(), strict=True)], leads
 
