@@ -37,6 +37,7 @@ from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import (
     Cells,
     Grid,
+    _stepped,
     laid,
     of_stiffness,
     rounds,
@@ -47,7 +48,7 @@ from fden_ros.core.estimation.law import Expansion, Law
 from fden_ros.core.estimation.nuisance import rig_of, spot_of, with_tails
 from fden_ros.core.estimation.posterior import Posterior
 from fden_ros.core.estimation.record import Block, Record
-from fden_ros.core.law import FlatPunch
+from fden_ros.core.law import LOWEST_ORDER, FlatPunch
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import stress_of_piecewise_linear_strain
 
@@ -271,6 +272,18 @@ def test_block_by_block_is_the_batch_sum_on_the_same_nodes(shift: float | None) 
     a, b = state.sums
     np.testing.assert_allclose(a, (rows**2).sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose(b, (rows * own).sum(axis=0), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [-1.0, math.nan])
+def test_a_step_out_of_the_orders_ends_at_its_node(size: float) -> None:
+    """From an alpha at the least one there is; neither it nor a step of no number hangs."""
+    grid, _ = laid_on(1)
+    law, box = grid.law, grid.start.box
+    middle = np.array([LOWEST_ORDER, *box.mean[1:]])
+    base, by_order = np.ones(4), np.linspace(0.01, 0.04, 4)
+    responses = np.column_stack([base, base + by_order, base, base])
+    case = law, box, middle, base + 100.0 * size * by_order, responses, np.zeros((4, 3))
+    assert _stepped(*case).mean[0] == LOWEST_ORDER
 
 
 def test_another_spot_has_a_contact_point_of_its_own() -> None:

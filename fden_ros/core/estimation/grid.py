@@ -51,6 +51,8 @@ _LEAST_GAIN = 0.5
 _MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
 #: A rough error of the stress counts as in 16 independent cells, however many there are [1].
 _ROUGH_CELLS = 16
+#: A step that leads out is halved as many times, and then not taken [1].
+_HALVINGS = 20
 #: Nodes at which scales are weighed.
 _FEW = 6
 #: A change of the law's errors that is taken as it is [1].
@@ -665,11 +667,10 @@ def _stepped(law: Law, box: Box, middle: Array, y: Array, responses: Array, shif
     step = (found @ (jacobian.T @ (y - g * base) - off / sds**2))[1:]
     most = 1.5 * box.deviations[is_open]
     step /= max(1.0, float(np.max(np.abs(step) / most)))
-    end = middle.copy()
-    end[is_open] += step
-    while not law.inside(end[None])[0]:
-        step *= 0.5
-        end[is_open] -= step
+    # The first of the way back that is inside; of a step that is no number there is none.
+    ends = np.repeat(middle[None], _HALVINGS + 1, axis=0)
+    ends[:-1, is_open] += 0.5 ** np.arange(_HALVINGS)[:, None] * step
+    end = ends[int(np.argmax(np.append(law.inside(ends[:-1]), True)))]
     root = np.zeros_like(box.lower)
     # Wide: the next grid finds what it is.
     root[at] = np.linalg.cholesky(2.0 * found[1:, 1:] + np.diag((0.02 * most) ** 2))
