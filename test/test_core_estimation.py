@@ -126,11 +126,12 @@ def law_of(press: Press, uncertainty: Uncertainty) -> Law:
 
 @functools.lru_cache(maxsize=4)
 def laid_on(
-    seed: int, left_out: int = 0, *, shift: float | None = None
+    seed: int, left_out: int = 0, *, shift: float | None = None, spot: int = 1
 ) -> tuple[Grid, list[Block]]:
     """Return a settled grid of a press on an arm, and the blocks that were left out at its end.
 
-    `shift`: another spot, whose contact point differs by this, was pressed 20 s before [1].
+    `shift`: a spot, whose contact point differs by this, was pressed 20 s before [1]: another
+    one, or at `spot` 0 the same.
     """
     blocks = blocks_of(pressed(seed))
     count = len(blocks) - left_out
@@ -140,7 +141,7 @@ def laid_on(
         early = replace(
             press, times=press.times - 20.0, middles=press.middles - 20.0, start=press.start - 20.0
         )
-        later = replace(press, spot=1, indentations=press.indentations + shift)
+        later = replace(press, spot=spot, indentations=press.indentations + shift)
         place = replace(law.place, presses=(early, later), older_end=early.start)
         rig = law.rig._replace(spots={1: spot_of(CONTACT_POINT_SD)})
         law = replace(law, place=place, rig=rig)
@@ -240,10 +241,14 @@ def test_columns_are_the_derivatives_of_the_response() -> None:
         assert np.max(np.abs(by - own)) < 5e-3 * np.max(np.abs(own)) + 1e-6 * g
 
 
-@pytest.mark.parametrize("shift", [None, 0.0], ids=["first", "another spot"])
-def test_block_by_block_is_the_batch_sum_on_the_same_nodes(shift: float | None) -> None:
+@pytest.mark.parametrize(
+    ("shift", "spot"),
+    [(None, 0), (0.0, 1), (0.0, 0)],
+    ids=["first", "another spot", "same spot"],
+)
+def test_block_by_block_is_the_batch_sum_on_the_same_nodes(shift: float | None, spot: int) -> None:
     """Factor and sums of 25 appended cells are those of the whole record to 1e-9."""
-    grid, later = laid_on(2, 25, shift=shift)
+    grid, later = laid_on(2, 25, shift=shift, spot=spot)
     state = Filter(grid)
     points, tails = [], []
     for block in later:
