@@ -16,8 +16,7 @@ from fden_ros.core.arrays import Array
 LONGEST_FILTER = 0.05
 #: A filter is compared with white noise beside a sine, as of hum, and a drift, by at least this
 #: number of samples, at this number of frequencies at most, and found from this log likelihood
-#: ratio on.
-#: What is above this many times the power of the filtered noise is a line.
+#: ratio on. What is above this many times the power of the filtered noise is a line.
 _LEAST_COUNT, _FREQUENCIES, _LIKELIER, _LINE = 64, 400, 6.0, 10.0
 #: The time of the filter is below that returned with this probability.
 _SURE = 0.84
@@ -65,7 +64,8 @@ def filter_time(times: Array, forces: Array, step: float) -> float:
     if not is_plain:
         # Noise behind a filter may have a sine as well.
         misfits, _ = _misfits(rest, spectra)
-    drifts = 1.0 + (_DRIFTS[:, None] * power.size / np.arange(2, 2 + power.size)) ** 2
+    periods = np.arange(own.start, own.start + power.size)
+    drifts = 1.0 + (_DRIFTS[:, None] * power.size / periods) ** 2
     likelier = power.size * (_misfits(rest, drifts)[0].min() - misfits)
     if likelier.max() < _LIKELIER:
         return 0.0

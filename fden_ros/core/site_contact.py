@@ -187,7 +187,7 @@ class Contact:
         return itertools.chain(outputs, results, self._work())
 
     def _work(self) -> Iterator[Output]:
-        """Let the estimator work; no output waits for it."""
+        """Let the estimator work, last of a chain: the outputs before do not wait for it."""
         self.site.work()
         yield from ()
 

@@ -59,8 +59,8 @@ class Rival:
         own = state.grid
         if not own.is_settled:
             return
-        law, before = own.law, self._grid
-        law = Plateau(law.config, law.geometry, law.place, law.rig, law.contact_point_sd)
+        one, before = own.law, self._grid
+        law = Plateau(one.config, one.geometry, one.place, one.rig, one.contact_point_sd)
         # A law that is softer where nothing was seen would have less noise of the motion: by
         # that alone tissue of an order of 0.55 was e^7 times likelier to have a plateau.
         noise = own.noise._replace(beside=own.covariance)
