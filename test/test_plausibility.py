@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline_helpers import LIVER_PARAMETERS, begun, of_columns, summaries_of
+from pipeline_helpers import LIVER_PARAMETERS, begun, of_columns, stress_over_g, summaries_of
 
 from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
@@ -94,6 +94,45 @@ def test_the_stream_of_the_wrong_sign_is_named_from_the_first_word_on(force, dis
     said = [one for one in [*said, tuple(pipeline.warnings)] if one]
     assert all(words is not None and words in likeliest for likeliest, *_ in said), said
     assert bool(said) == (words is not None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_press_whose_both_signs_are_wrong_claims_nothing_live_as_in_a_replay(seed):
+    """The tissue that pushes less as the probe turns back was seen as a touch of the turn."""
+    step, chance = 0.01, np.random.default_rng(seed)
+    corners = np.cumsum([0.0, 2.0, 1.62, 2.0, 1.62, 2.0])
+    times = np.arange(0.0, corners[-1], step)
+    depths = np.interp(times, corners, [-0.003, -0.003, 0.0051, 0.0051, -0.003, -0.003])
+    strains = np.maximum(depths, 0.0) / PROBE["geometry.thickness"]
+    forces = PROBE["geometry.area"] * 483.0 * stress_over_g(strains, step, 9.4, 0.164)
+    forces += chance.normal(0.0, 5e-4, times.size)
+    depths += chance.normal(0.0, 1e-6, times.size)
+    pipeline, outputs = of_columns(PROBE, times, -forces, -depths)
+    live = LiveTissue()
+    claims = []
+    for one in outputs:
+        if isinstance(one, TissueState):
+            live.add(one, 0.0)
+            claims.append(live.stiffness(0.0) or live.reading(0.0))
+    summaries = summaries_of(outputs)
+    assert summaries and not any(claims)
+    assert all(s.flags & Flag.TOUCH_NOT_OBSERVED and s.estimate is None for s in summaries)
+    assert "change both signs" in next(iter(pipeline.warnings))
+
+
+def test_a_sensor_that_drifts_down_between_presses_is_believed(tmp_path):
+    times, forces, depths = np.loadtxt(PRESS, delimiter=",", skiprows=1).T
+    forces -= 0.05 * np.maximum(times - 5.0, 0.0)
+    pipeline, outputs = of_columns(PROBE, times, forces, 1e-3 * depths)
+    assert pipeline.is_air_doubted  # the force fell below its value in the air
+    assert [s.converged for s in summaries_of(outputs)] == [True, True]
+    assert not any(s.flags for s in summaries_of(outputs))
+    # And with noise that leaves N/m alone.
+    forces += np.random.default_rng(0).normal(0.0, 0.006, times.size)
+    noisy = tmp_path / "noisy.csv"
+    np.savetxt(noisy, np.transpose([times, forces, depths]), delimiter=",")
+    result, _ = identified(noisy, "1,2,3*1e-3", PROBE)
+    assert result.is_air_doubted and result.with_stiffness_alone == {2}
 
 
 def test_slow_recording_is_identified():

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from fden_ros.core.air_after import AirAfter
-from fden_ros.core.contact import Onset
+from fden_ros.core.contact import SMALL, Onset
 from fden_ros.core.outputs import ContactSummary, Flag, Output
 from fden_ros.core.report import Account, Common
 from fden_ros.core.site import Site
@@ -174,6 +174,9 @@ class Contact:
         learns, sums = self.state.is_learning, self._common.sums
         elapsed = (pair.stamp_ns - self.start_ns) / NANOSECONDS
         force = pair.force - self.onset.bias - self.onset.drift * elapsed
+        if self.onset.clearance < SMALL * (pair.displacement - self.onset.displacement):
+            # The air before was a contact, or a sign is wrong: the probe turned, and met nothing.
+            self.site.withdraw()
         sample = self.site.follow(pair, force, learns=learns)
         moduli = self._account.take(sample, learns=learns)
         outputs: Iterable[Output] = () if is_silent else moduli

@@ -65,18 +65,19 @@ class Replay:
         """Whether a contact converged, or N/m or a slope is known, of one or on a path."""
         if self.has_strokes or any(s.converged or s.is_of_path for s in self.summaries):
             return not self.has_strokes
-        is_measured = self.measured_unseen.loading or any(map(known_stiffness, self.summaries))
-        return bool(is_measured) and not self.is_air_doubted
+        is_unseen = self.measured_unseen.loading is not None and not self.is_air_doubted
+        return is_unseen or any(map(known_stiffness, self._believed))
 
     @property
     def with_stiffness_alone(self) -> frozenset[int]:
-        """Numbers of the contacts with known N/m or slope, but not G.
+        """Numbers of the contacts with known N/m or slope, but not G."""
+        return frozenset(s.contact_id for s in self._believed if known_alone(s))
 
-        None where the force fell below its value in the air, and a sign may be wrong: an apparent
-        contact may then be the air.
-        """
-        summaries = () if self.is_air_doubted else self.summaries
-        return frozenset(s.contact_id for s in summaries if known_alone(s))
+    @property
+    def _believed(self) -> list[ContactSummary]:
+        """The contacts without those that may be the air, where a sign may be wrong."""
+        hidden = Flag.TOUCH_NOT_OBSERVED if self.is_air_doubted else Flag.NONE
+        return [s for s in self.summaries if not s.flags & hidden]
 
     @property
     def has_strokes(self) -> bool:

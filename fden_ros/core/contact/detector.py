@@ -10,6 +10,7 @@ kept from before the detection, because a threshold alone places the contact poi
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -72,6 +73,8 @@ class Onset(NamedTuple):
     clear_force: float  #: the mean of a chunk above it is in contact [N]
     filter_time: float  #: of a filter that the noise in the air shows [s]; 0: none
     mass: float  #: beyond the sensor, whose inertia is in the force [kg]; 0: not noticeable
+    #: By which the probe was off the surface [m] since presumed air turned out to be a contact.
+    clearance: float = math.inf
 
     @property
     def release_force(self) -> float:
@@ -159,6 +162,7 @@ class ContactDetector:
             self._press: _Press | None = None
         #: Newest time at which presumed air turned out to be a contact.
         self.left_unseen_ns: int | None = None
+        self._lowest = -math.inf  # displacement since then [m]
         self._samples: deque[Pair] = deque()
         self._baseline, self._chunks = Baseline(self._config), Chunks()
         self._rise, self._has_released = _Rise(), False
@@ -179,6 +183,7 @@ class ContactDetector:
         if press is None:
             self._baseline.resolution.add(pair.force)
         samples.append(pair)
+        self._lowest = min(self._lowest, pair.displacement)
         is_old = self._baseline.is_old
         while len(samples) > LEAST_SAMPLES and is_old(samples[0].stamp_ns, pair.stamp_ns):
             samples.popleft()
@@ -217,6 +222,7 @@ class ContactDetector:
                 # The chunks before were a contact, or the force has the wrong sign.
                 self.below_baseline += 1
                 self.left_unseen_ns = chunk.end_ns
+                self._lowest = self._samples[-1].displacement
             self._below = 0
             baseline.forget_all_but(MIN_CHUNKS)
             self._samples.clear()
@@ -316,6 +322,7 @@ class ContactDetector:
             clear_force=max(clear, limit),
             filter_time=smooth,
             mass=mass,
+            clearance=approach.surface - self._lowest,
         )
         self._press = _Press(onset, limit)
         pairs.clear()
