@@ -74,7 +74,7 @@ bend | Gn is not observable: the strain reached {strain:.3f}, not clearly beyond
   1/Gn, about {boundary:.3f} | press to {depth} mm for Gn
 settled | the estimator has not settled, or another explanation is equally likely
   | press here again
-exact | estimator.kind ekf claims G and Gn only of a law and a rig that are stated to be exact
+exact | estimator.kind ekf gives G and Gn only if law and rig are stated to be exact
   | state the zeros of config/bench.yaml and model_discrepancy.sd as 0, or leave estimator.kind out
 alpha | alpha is not determined by the data | hold for 2 s for alpha
 estimate | there is no estimate
@@ -103,7 +103,7 @@ rise | the force rises without a touch | begin in the air (a testing machine's t
 clock | the clock jumped back: everything learned was reset
 stuck | the force repeated one value: is the sensor dead, or at its limit?
 no pair | no pair of force and displacement: do the stamps of the two topics overlap?
-few samples | no contact was found in {count} samples, too few to know the force in the air
+few samples | no contact was found in {count} samples, too few to measure the force in the air
   | record 2 s in the air and then a press
 no contact | no contact was found
   | check force.threshold, and the signs of force.axis and displacement.axis: both must grow as

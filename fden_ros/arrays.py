@@ -96,12 +96,12 @@ class FittedContact:
         return tuple(flag.name for flag in Flag if flag & self.summary.flags and flag.name)
 
     def predict(self, time: Any, displacement: Any) -> Array:
-        """Return the force by the law, for another motion on tissue at rest.
+        """Return the force that the law predicts for another motion on tissue at rest.
 
         Parameters
         ----------
         time : array_like, shape (n,)
-            Times [s]. They increase, and may begin at any zero.
+            Times [s]. They increase, and may start at any value.
         displacement : array_like, shape (n,)
             Depth below the untouched surface [m]. The motion begins at the surface or above it.
 
@@ -127,7 +127,7 @@ class FittedContact:
         return np.maximum(stresses, 0.0) / self.geometry.stress_per_force
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the measured force over displacement; return the axes of matplotlib."""
+        """Draw the measured force over displacement; return the matplotlib axes."""
         if axes is None:
             from matplotlib import pyplot
 
@@ -154,7 +154,7 @@ class Fit:
     warnings: tuple[str, ...]
 
     def to_dataframe(self) -> DataFrame:
-        """Return a table of pandas with one row per contact: each number and its sd."""
+        """Return a pandas table with one row per contact: each number and its sd."""
         try:
             import pandas  # type: ignore[import-not-found,import-untyped,unused-ignore]
         except ImportError:
@@ -180,7 +180,7 @@ def fit(
     Parameters
     ----------
     time : array_like, shape (n,)
-        Time of each sample [s]. It increases, and may begin at any zero.
+        Time of each sample [s]. It increases, and may start at any value.
     force : array_like, shape (n,)
         Force [N], which grows when the probe presses; with `torsional_rheometer` a torque [N m].
     displacement : array_like, shape (n,)
@@ -200,7 +200,7 @@ def fit(
         Its `contacts` are in order of time. Each has `stiffness` [N/m], `G` [Pa s^alpha], `Gn`
         and `alpha` as (value, sd), and `covariance`, `flags`, `converged`, `predict` and `plot`.
         A number that is not known is NaN. `warnings` is a tuple of sentences, and
-        `to_dataframe()` returns a table of pandas. The numbers are those of ``fden replay``, to
+        `to_dataframe()` returns a pandas table. The numbers are those of ``fden replay``, to
         the last bit.
 
     Raises
@@ -255,7 +255,7 @@ def _arrays(**given: Any) -> list[Array]:
             )
         found.append(array)
     if (back := np.flatnonzero(np.diff(found[0]) <= 0.0)).size:
-        raise InputError(f"time does not increase at sample {back[0] + 1}: sort, drop repeats")
+        raise InputError(f"time does not increase at sample {back[0] + 1}: sort and drop repeats")
     return found
 
 

@@ -38,7 +38,7 @@ COMMANDS = {
     "live": "run simulator, identifier, controller and monitor together",
     "batch": "identify all recordings of an archive",
     "play": "publish a bag on live topics",
-    "parameters": "print every parameter of the identifier, explained",
+    "parameters": "print and explain every parameter of the identifier",
     "train": "learn a tissue library from labelled contacts",
     "fit": "identify from an experiment with a rheometer or a robot",
     "bag": "simulate a palpation and write it as a bag",

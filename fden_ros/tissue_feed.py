@@ -52,17 +52,17 @@ class TissueFeed(LiveTissue):
     identifier : str
         Name of the identifier node.
     parameters : path or None
-        The identifier's parameter file: predictions need the geometry, and what is not known of
-        tissue and rig counts in their deviations.
+        The identifier's parameter file: predictions need the geometry, and their sd includes what
+        is not known of tissue and rig.
     geometry : Geometry or None
-        The geometry itself, instead of a file; what is not known counts by its defaults.
+        The geometry itself, instead of a file; the defaults then state what is not known.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
     real_time : bool
-        The stamps advance with the clock. With false, for bags played at another pace, an estimate
-        that was held up on its way looks like a fresh one.
+        The stamps advance with the clock. With false, for bags played at another pace, a delayed
+        estimate looks like a fresh one.
     on_loss : callable or None
-        Called with the :class:`Refusal` when there is none to rely on any more.
+        Called with the :class:`Refusal` when the reliable estimate is lost.
     on_state : callable or None
         Called with every :class:`TissueState`, whether it may be relied on or not.
 

@@ -171,7 +171,8 @@ TABLES: dict[str, Table] = {
         clocked(CLOCKS["times of day"]) + "Operator;A;B\n", warned="ends at line 6 (Operator, A,"
     ),
     "another table below": Table(
-        NEWTONS + PLAIN + "\nTime (s),Depth (mm),Load (N)\n0,1,2\n1,2,3\n", warned="3 lines from"
+        NEWTONS + PLAIN + "\nTime (s),Depth (mm),Load (N)\n0,1,2\n1,2,3\n",
+        warned="3 lines are left out",
     ),
     "results below, with units in a row": Table(
         NEWTONS + PLAIN + "Peak,Height\n(N),(mm)\n12,3,4\n", warned="ends at line 6 (Peak, Height)"
@@ -180,7 +181,7 @@ TABLES: dict[str, Table] = {
         NEWTONS + PLAIN + "0.3,NaN,--\n", warned="1 of 5 rows"
     ),
     "commanded alone": Table(
-        "time_s,force_N,depth_desired_mm\n" + PLAIN, warned="is commanded by its heading"
+        "time_s,force_N,depth_desired_mm\n" + PLAIN, warned="is commanded, not measured"
     ),
     # Columns that are given, below any preamble
     "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),
@@ -246,7 +247,7 @@ TABLES: dict[str, Table] = {
         SEMICOLONS + "1;980;1.020\n2;1.020;1.100\n", refused=("'1.020' may have a thousands",)
     ),
     "commas between decimal commas": Table(
-        "time_s,force_N,depth_mm\n" + GERMAN.replace(";", ","), refused=("write semicolons",)
+        "time_s,force_N,depth_mm\n" + GERMAN.replace(";", ","), refused=("cells by semicolons",)
     ),
     # What is no table
     "gzip without its name": Table(gzip.compress(b"t,f\n"), refused=("name it .csv.gz",)),
@@ -490,7 +491,7 @@ def bag_of(kind: str, folder: Path, messages: Messages) -> Path:
 #: Header stamps of the force by time of recording, and what is said of them.
 STAMPS: dict[str, tuple[Callable[[int], int], str]] = {
     "zero": (lambda time_ns: 0, "120 of the first 120 header stamps of /force are 0"),
-    "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "of two clocks?"),
+    "since boot": (lambda time_ns: time_ns - START + 5_000_000_000, "from two clocks?"),
     "whole seconds": (
         lambda time_ns: time_ns // 10**9 * 10**9,
         "only 2 of the first 120 header stamps of /force differ",

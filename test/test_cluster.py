@@ -72,7 +72,7 @@ def test_the_table_of_a_cluster_is_that_of_this_machine(tmp_path, scheduler, cap
     here, there = tmp_path / "here.csv", tmp_path / "there.parquet"
     assert main(command(places, here, "--workers", "1")) == 0
     assert main(command(places, there, "--scheduler", scheduler)) == 0
-    assert "2 bags, 0 of them done before, 1 broken; 2 contacts new" in capsys.readouterr().out
+    assert "2 bags, 0 of them done before, 1 broken; 2 new contacts" in capsys.readouterr().out
     rows = rows_of(here)
     assert len(rows) == 3 and rows_of(there.with_suffix(".csv")) == rows
 

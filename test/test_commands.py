@@ -142,7 +142,7 @@ def test_processes_give_what_replay_gives_and_a_second_run_skips(tmp_path, capsy
     command = ("batch", archive, "-o", table, "--config", config, "--workers", "1")
     assert fden(*command) == 0
     said = capsys.readouterr()
-    assert "3 bags, 0 of them done before, 1 broken; 2 contacts new" in said.out
+    assert "3 bags, 0 of them done before, 1 broken; 2 new contacts" in said.out
     (line,) = (line for line in said.err.splitlines() if line.startswith("broken: "))
     assert str(archive / "broken.mcap") in line and "is not a bag" in line
     rows = sorted(rows_of(table), key=lambda row: row["bag"])

@@ -222,4 +222,4 @@ def test_a_table_of_one_row_is_too_short_for_a_contact(tmp_path, capsys):
     table = tmp_path / "row.csv"
     table.write_text("time_s,force_N,depth_mm\n0,1,2\n")
     line = error_line(capsys, 3, "replay", table, "--area", "314mm2", "--height", "20mm")
-    assert "in 1 samples, too few to know the force in the air; record 2 s in the air" in line
+    assert "in 1 samples, too few to measure the force in the air; record 2 s in the air" in line

@@ -232,7 +232,7 @@ def test_a_filter_on_the_force_is_named_and_part_of_the_delay(cutoff):
     found = survey([streams])
     named = found.finding("force filter")
     assert named.value == pytest.approx(delay, abs=2.5 * named.deviation)
-    assert "low-pass filter is on the force" in named.evidence
+    assert "the sensor or driver filters the force" in named.evidence
     late_by = found.finding("delay")
     assert late_by.claim and late_by.value == pytest.approx(-delay, abs=3.0 * late_by.deviation)
     assert late_by.parameters["displacement.delay"] == pytest.approx(late_by.value, abs=1e-6)

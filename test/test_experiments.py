@@ -154,7 +154,7 @@ def test_residuals_that_follow_each_other_are_reported():
     white = np.random.default_rng(0).standard_normal(500)
     noise = 0.03 * lfilter([1.0], [1.0, -0.8], white)[100:]
     fit = fit_step(Step("creep", times, creep_strain(10.0, times) * (1.0 + noise), 10.0))
-    assert any("follow each other" in warning for warning in fit.warnings)
+    assert any("residuals are correlated" in warning for warning in fit.warnings)
     assert covered(fit) == [True, True]
 
 

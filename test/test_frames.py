@@ -242,7 +242,7 @@ def test_against_a_given_normal_depth_is_the_part_along_it_and_the_tilt_is_told(
     assert found.pipeline.warnings[words] == 1
     assert "up to 20 degrees: only 0.940 of the motion along the tool is depth" in words
     # The punch of 10 mm radius: 20 mm times the tangent.
-    assert "by its edge first, over 7.3 mm" in words
+    assert "with its edge first, over 7.3 mm" in words
 
 
 def test_a_turn_about_a_far_point_is_no_travel_along_the_tool():

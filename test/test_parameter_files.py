@@ -224,7 +224,7 @@ def test_replay_reads_the_sections_of_the_node_that_is_named(tmp_path, capsys):
         (("-p", "force.axis:=[1, 2"), "-p force.axis:=[1, 2: not valid YAML"),
         (
             ("--", "--params-file", "probe.yaml"),
-            "--params-file counts after --ros-args alone: put --ros-args before it",
+            "--params-file counts only after --ros-args: put --ros-args before it",
         ),
     ],
 )

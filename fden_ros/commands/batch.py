@@ -15,8 +15,8 @@ DESCRIPTION = """\
 Identify all recordings of an archive, bags of every kind and tables, several
 at once, and write a table (CSV) with one row per contact. A recording that
 cannot be used gives a row with its error; so does a place without recordings.
-Recordings in the table are not done again. A table that was made with other
-parameters is refused.
+Recordings that are in the table already are skipped. A table that was made
+with other parameters is refused.
 """
 
 EPILOG = """\
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
             results.close()
     print(
         f"{args.output}: {len(bags)} bags, {len(bags) - len(left)} of them done before, "
-        f"{broken} broken; {contacts} contacts new"
+        f"{broken} broken; {contacts} new contacts"
     )
     return 0
 

@@ -22,7 +22,7 @@ folder. Benchmarks are not installed: this needs a checkout.
 EPILOG = """\
 examples:
   fden benchmark robots --quick             a minute or two; goals may stay undecided
-  fden benchmark robots -o results          the whole of it
+  fden benchmark robots -o results          at full length
   fden benchmark robots --quick --json | jq '.goals[] | select(.met == false)'
   fden benchmark robots --help              arguments of this benchmark
 

@@ -33,7 +33,7 @@ def module(name: str) -> Any:
     root = checkout()
     if root is None:
         raise InputError(
-            f"fden_ros has no {name.partition('.')[0]} when installed: run this in a checkout"
+            f"an installed fden_ros has no {name.partition('.')[0]}: run this in a checkout"
         )
     if str(root) not in sys.path:
         sys.path.insert(0, str(root))

@@ -65,7 +65,7 @@ class Axes:
             return Finding(subject, value[0], 0.0, evidence, parameters=inverted)
         degrees = math.degrees(axis.sd)
         if axis.sd > LARGEST_SD:
-            evidence = f"only known to {degrees:.1f} degrees from {axis.basis}"
+            evidence = f"known only to {degrees:.1f} degrees, from {axis.basis}"
             return unknown(subject, evidence, "", value, axis.sd)
         evidence = f"within {degrees:.2g} degrees, from {axis.basis}{sure}"
         rounded = {f"{stream}.axis": [round(v, 4) for v in value]}
@@ -82,7 +82,9 @@ def find_axes(sessions: Sequence[Session]) -> Axes:
         return Axes(reason=_two_readings(lines), probability=lines.signs.probability)
     left = [session for session in touched if session.leaves]
     contacts = [(session, contact) for session in left or touched for contact in session.contacts]
-    basis = f"{len(contacts)} contacts against the air" if left else "contact that never ends"
+    basis = (
+        f"{len(contacts)} contacts compared with the air" if left else "a contact that never ends"
+    )
     pushes = [session.net[contact.span] for session, contact in contacts]
     main = np.linalg.svd(np.concatenate(pushes), full_matrices=False)[2][0]
     grows = main * math.copysign(1.0, float(main @ lines.grows)) if left else lines.grows
@@ -101,7 +103,7 @@ def _two_readings(lines: Lines) -> str:
         f"two readings fit: the force grows along [{grows}] and the displacement along [{into}] "
         f"into the tissue, or both against; the first is {math.exp(lines.signs.log_ratio):.2g} "
         f"times as likely (a probability of {_probability_words(lines.signs.probability)}), and "
-        f"{LEAST_RATIO:g} times would exclude the other"
+        f"{LEAST_RATIO:g} times would rule out the other"
     )
 
 

@@ -81,14 +81,14 @@ def delay_finding(
     for one, other in itertools.combinations(good, 2):
         if abs(one.value - other.value) > _APART * math.hypot(one.sd, other.sd):
             words = [f"{1e3 * s.value:.2f} ms from {s.name}" for s in (one, other)]
-            return unknown("delay", f"{' but '.join(words)}: not constant, or a filter is on")
+            return unknown("delay", f"{' but '.join(words)}: not constant, or filtered")
     if good:
         found = pooled([one.value for one in good], [one.sd for one in good])
         return _stated(" and ".join(one.name for one in good), *found, least=0.0)
     if of_tissue := _of_tissue(sessions, axes):
         return _stated(*of_tissue)
     if filtered is not None:
-        name = "the force's filter alone, which its noise in the air shows"
+        name = "the filter of the force alone, seen in its noise in the air"
         return _stated(name, -filtered.delay, filtered.sd)
     words = [
         f"{1e3 * one.value:.1f} ± {1e3 * one.sd:.1g} ms from {one.name} is too uncertain"
@@ -100,7 +100,7 @@ def delay_finding(
 def _stated(name: str, value: float, sd: float, least: float = _CLEAR) -> Finding:
     """Return a delay; the default of 0 stays within this number of deviations."""
     if abs(value) < least * sd:
-        return Finding("delay", value, sd, f"from {name}; the default of 0 is within it")
+        return Finding("delay", value, sd, f"from {name}; the default of 0 agrees with it")
     values: dict[str, Value] = {
         "displacement.delay": round(value, 6),
         "displacement.delay_sd": round(min(max(sd, _FILE_SD), _MOST_FILE_SD), 6),

@@ -148,13 +148,15 @@ def compliance_finding(presses: Sequence[Press]) -> Finding:
     if not presses:
         return unknown("compliance", "no press on something rigid was seen")
     value, sd = pooled([one.compliance for one in presses], [one.compliance_sd for one in presses])
-    evidence = f"{len(presses)} presses in which the displacement is a line of the force"
+    evidence = f"{len(presses)} presses in which the displacement is linear in the force"
     least_sd = max(sd, _LEAST_PART * value, 1e-7)
     if sd > _LARGEST_PART * abs(value):
         value = max(value, 0.0)
-        evidence = f"too small to measure: below {1e3 * (value + 2 * sd):.2g} mm/N, by {evidence}"
+        evidence = (
+            f"too small to measure: below {1e3 * (value + 2 * sd):.2g} mm/N, from {evidence}"
+        )
     elif value < 0.0:
-        evidence = f"the probe goes back as the force rises, by {evidence}: not one axis"
+        evidence = f"the probe moves back as the force rises, in {evidence}: not one axis"
         return unknown("compliance", evidence)
     values = {
         "displacement.compliance": float(f"{value:.5g}"),

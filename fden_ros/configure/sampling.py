@@ -102,7 +102,7 @@ def noise_finding(
     if filtered is not None and axis is not None:
         parts = [detrend(part) for _, part in _in_air(sessions, axis) if part.size > _LEAST]
         value = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        evidence = "in the air; it is filtered, so that neighbouring samples are alike"
+        evidence = "in the air; it is filtered, so neighbouring samples are alike"
         return Finding(subject, value, 0.2 * value, evidence)
     for session in sessions:
         times, values = _values(stream, session)
@@ -116,7 +116,7 @@ def noise_finding(
     count = sum(part.size for part in apart)
     if count < _LEAST:
         moving = [np.median(noise_of(*_values(stream, session))) for session in sessions]
-        evidence = "from samples in motion, by their distance from the lines between neighbours"
+        evidence = "from samples in motion: their distance from the line between their neighbours"
         return unknown(subject, evidence, "", float(np.mean(moving)))
     value = float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
     # Neighbouring distances share samples: the sum of their squared correlations is 1.94.
@@ -127,7 +127,7 @@ def noise_finding(
         # Such steps hide the noise: the rounding error remains.
         value = rounded / math.sqrt(12.0)
         sd = 0.2 * value
-        evidence = "that of rounding: the values come in larger steps than the noise"
+        evidence = "from rounding: the steps of the values are larger than the noise"
     floor: dict[str, Value] = {}
     if stream == "force" and 0.0 < value < ContactConfig.noise_floor:
         floor = {"force.noise_floor": max(float(f"{0.1 * value:.0e}"), TINY)}
@@ -184,8 +184,8 @@ def find_force_filter(sessions: Sequence[Session], axis: Axis | None) -> Filter 
 def filter_finding(found: Filter) -> Finding:
     """Return what to report of a filter."""
     evidence = (
-        f"the noise in the air ends at {found.cutoff:.2g} Hz: a low-pass filter is on the force, "
-        "in the sensor or the driver; switch it off, or raise its frequency: it hides the touch"
+        f"the noise in the air ends at {found.cutoff:.2g} Hz: the sensor or driver filters the "
+        "force, which hides the touch; switch the filter off, or raise its frequency"
     )
     return Finding("force filter", found.delay, found.sd, evidence)
 
@@ -222,13 +222,13 @@ def _drift(sessions: Sequence[Session], axis: Axis) -> Finding:
     if not lines:
         return unknown(
             "force drift",
-            f"the air is not spread over {_SPREAD:g} s",
+            f"the stretches in the air span less than {_SPREAD:g} s",
             "record for a minute, with the probe in the air every few seconds",
         )
     slope, sd = pooled([one.values[0] for one in lines], [one.sds[0] for one in lines])
     worst, evidence = abs(slope) + 2.0 * sd, "line through the force in the air"
     values = {"force.drift_sd": round(worst, 5)} if worst > _DEFAULT_DRIFT else {}
-    evidence += "" if values else "; within the default of force.drift_sd, which stays"
+    evidence += "" if values else "; within the default of force.drift_sd, which is kept"
     return Finding("force drift", slope, sd, evidence, parameters=values)
 
 
@@ -239,8 +239,8 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
         return unknown("lift-off", "no contact was seen")
     if never := [session.streams.name for session in sessions if not session.leaves]:
         evidence = (
-            f"in {', '.join(never)} no stretch is surely in the air: the force does not stay "
-            "while the probe travels"
+            f"in {', '.join(never)} no stretch is certain to be in the air: the force changes "
+            "wherever the probe travels"
         )
         motion = (
             "begin with 2 s in the air, and lift off by 3 mm after each press; or write "

@@ -24,8 +24,8 @@ from fden_ros.written import written
 #: Units of recordings that state none; the first is that of SI.
 _POSSIBLE = {"force": ("N", "mN", "g", "kgf", "lbf"), "displacement": ("m", "mm")}
 _STATE = (
-    "state it: a factor in --columns, as force*9.80665e-3 of grams; of a bag publish a type that "
-    "has a unit, as WrenchStamped"
+    "state it: in --columns as a factor, such as force*9.80665e-3 for grams; for a bag, publish a "
+    "type that has a unit, such as WrenchStamped"
 )
 
 
@@ -68,7 +68,7 @@ def _possible(
 ) -> str:
     """Return the result of each unit for the tissue."""
     if deepest is None:
-        return f"none is stated: {_POSSIBLE[stream][0]} is taken"
+        return f"none is stated: {_POSSIBLE[stream][0]} is assumed"
     made = []
     for name in _POSSIBLE[stream]:
         factors = {"force": 1.0, "displacement": 1.0, stream: UNITS[stream][name]}

@@ -205,11 +205,11 @@ def weight_finding(weight: Weight | None, recordings: Sequence[Streams]) -> Find
         return unknown("tool mass", why)
     mass, sd = weight.size / GRAVITY, weight.sd / GRAVITY
     if not weight.holds:
-        words = f"while it turned, {weight.left:.2g} N of the force do not follow from a weight"
+        words = f"while it turned, {weight.left:.2g} N of the force do not fit a weight"
         return unknown("tool mass", f"{words}; was it in contact?")
     if weight.size < max(5.0 * weight.sd, _SUBTRACTED):
         limit = mass + 2.0 * sd
-        evidence = f"less than {limit:.2g} kg goes with the turns: the driver subtracts it"
+        evidence = f"less than {limit:.2g} kg follows the turns: the driver subtracts it"
         return Finding("tool mass", 0.0, limit / 2.0, evidence, parameters={"tool.mass": 0.0})
     if weight.is_turned:
         words = f"{mass:.3g} kg, but the poses are not of the sensor's own frame"

@@ -58,7 +58,7 @@ def replay_problems(survey: Survey) -> list[str]:
         problems.append(f"no touch is certain: {lift_off.motion}")
     if not survey.finding("indenter").claim:
         problems.append(
-            "the indenter is the default's, a flat face of 1 cm^2 on 20 mm, so G and Gn are "
+            "the indenter is the default, a flat face of 1 cm^2 on 20 mm, so G and Gn are "
             "wrong: state yours (--flat-punch AREA or --sphere R, with --thickness H)"
         )
     return problems

@@ -58,7 +58,7 @@ class Cause(enum.Enum):
     LOST = "no estimate within the deadline: the identifier is frozen, killed or unreachable"
     LATE = "the estimates come later than the deadline: the identifier is overloaded"
     STALE = "the identifier has no input: are force and displacement published? is the bag over?"
-    TWO_PUBLISHERS = "two nodes publish the estimate: end one, or give it another name"
+    TWO_PUBLISHERS = "two nodes publish the estimate: stop one, or give it another name"
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
     NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
@@ -79,12 +79,12 @@ class Refusal:
 
 
 class Stiffness(NamedTuple):
-    """dF/dd, by the law or measured."""
+    """dF/dd, from the law or measured."""
 
     value: float  #: [N/m]
     sd: float  #: its standard deviation [N/m]
-    #: Of a measured slope: its depth below the surface [m]; None: it is N/m of the present, by
-    #: the law.
+    #: Of a measured slope: its depth below the surface [m]; None: it is the present N/m from the
+    #: law.
     depth: float | None = None
 
 
@@ -109,7 +109,7 @@ class LiveTissue:
 
     `now` is the time by a clock that never jumps [s], or ``time.monotonic``. Parameters are those
     of :class:`fden_ros.tissue_feed.TissueFeed`; `restarts` counts restarts of the identifier,
-    with which its memory of the tissue is gone.
+    each of which erases its memory of the tissue.
     """
 
     def __init__(

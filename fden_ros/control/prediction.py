@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fden_ros maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-r"""Force of a planned motion by the law, with its interval.
+r"""Force that the law predicts for a planned motion, with its interval.
 
 The exponential moments of the measured stress hold the tissue's memory. Along the plan
 
@@ -184,8 +184,12 @@ def _checked(times: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     planned = np.atleast_1d(np.asarray(values, dtype=float))
     if instants.ndim != 1 or instants.shape != planned.shape or instants.size == 0:
-        raise InputError(f"plan: {instants.shape} times, {planned.shape} ways: give as many")
+        raise InputError(
+            f"plan: {instants.shape} times, {planned.shape} displacements: give as many of each"
+        )
     steps = np.diff(instants, prepend=0.0)
     if not (np.all(steps > SHORTEST_STEP) and np.all(np.isfinite([steps, planned]))):
-        raise InputError("plan: times must increase by more than 10 µs, and ways be finite")
+        raise InputError(
+            "plan: times must increase by more than 10 µs, and displacements must be finite"
+        )
     return instants, planned

@@ -116,11 +116,11 @@ class ContactSession:
         strokes = self._strokes
         inertia = (
             f"the force follows the acceleration in the air: some {1e3 * self._mass:.2g} g "
-            "beyond the sensor (press slower)"
+            "beyond the sensor (press more slowly)"
         )
         smooth = (
             "the force's noise in the air is smooth over some "
-            f"{written(1e3 * self._filter_time, 2)} ms, as behind a filter, which "
+            f"{written(1e3 * self._filter_time, 2)} ms, as after a filter, which "
             + (
                 "is too slow for G, Gn and N/m (switch it off, or read the force before it)"
                 if self._filter_time > LONGEST_FILTER

@@ -171,9 +171,11 @@ class ContinuousSession:
         """Problems, in words, with counts."""
         is_silent = self._elapsed > _SILENT_TIME and not self._has_found
         counts = {
-            "no oscillation of the displacement between 0.4 and 5 Hz was found, sampled 16 times "
-            "a period, so no stiffness. contact.mode continuous needs a probe that palpates: "
-            "sliding alone does not separate stiffness from the surface's height": (is_silent),
+            "no oscillation of the displacement between 0.4 and 5 Hz, with 16 samples per period, "
+            "was found, so there is no stiffness. contact.mode continuous needs a probe that "
+            "palpates: sliding alone does not separate stiffness from the surface's height": (
+                is_silent
+            ),
             self._out_of_step
             or "no tissue has the phase of this force: is displacement.delay right?": self._lags,
         }

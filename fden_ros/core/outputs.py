@@ -25,7 +25,7 @@ from fden_ros.core.streams import Position
 
 
 class Status(enum.IntEnum):
-    """What a consumer may make of a :class:`TissueState`."""
+    """What a consumer may do with a :class:`TissueState`."""
 
     UNKNOWN = 0
     NO_CONTACT = 1
@@ -221,7 +221,7 @@ def stale(state: TissueState | None, flags: Flag = Flag.NONE) -> TissueState:
 def late(state: TissueState, deadline: float) -> TissueState:
     """Return `state` as it is, or with nothing known if its lag is above a deadline [s].
 
-    Its numbers stay: they are those of that time.
+    Its numbers stay: they describe that earlier time.
     """
     if state.lag <= deadline or state.status in (Status.UNKNOWN, Status.STALE):
         return state

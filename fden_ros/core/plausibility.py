@@ -105,7 +105,7 @@ class Tilt:
         if isinstance(self._geometry, FlatPunch):
             width = 2.0 * math.sqrt(self._geometry.area / math.pi)
             depth = width * math.tan(min(self._largest, 1.5))
-            cost += f", and the flat face touches by its edge first, over {1e3 * depth:.1f} mm"
+            cost += f", and the flat face touches with its edge first, over {1e3 * depth:.1f} mm"
         return f"the probe was tilted by up to {math.degrees(self._largest):.0f} degrees: {cost}"
 
 

@@ -97,7 +97,7 @@ class Table:
         """Return the rows from `start` [s] on; time_s must increase."""
         time = self.column("time_s")
         rises = np.diff(time, prepend=-np.inf) > 0.0
-        wrong = f"time_s {time[np.argmin(rises)]:g} does not come after the row before"
+        wrong = f"time_s {time[np.argmin(rises)]:g} is not after that of the row before"
         self._require(rises, wrong, "sort the rows by time, each time once")
         kept = time >= start
         if not kept.any():
@@ -122,7 +122,7 @@ def read_table(path: Path) -> Table:
     values, lines, _ = layout.numbers(wanted)
     columns = {name: factor * values[:, wanted.index(i)] for name, (i, factor) in places.items()}
     notes = tuple(
-        f"{headings[i].text} states no unit: it is taken to be in {_COLUMNS[name][0]}"
+        f"{headings[i].text} states no unit: it is assumed to be in {_COLUMNS[name][0]}"
         for name, (i, _) in places.items()
         if name not in ("strain", headings[i].text) and not headings[i].has_unit
     )

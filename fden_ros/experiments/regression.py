@@ -84,8 +84,8 @@ class Solution(NamedTuple):
             return ()
         factor = math.sqrt(_widening(self.correlation, self.residuals.size, self.values.size))
         return (
-            f"the residuals follow each other (correlation {self.correlation:.2f}): the model "
-            f"does not describe all of the data; deviations are widened {factor:.1f} times",
+            f"neighbouring residuals are correlated ({self.correlation:.2f}): the model does not "
+            f"describe all of the data; standard deviations are widened {factor:.1f} times",
         )
 
 

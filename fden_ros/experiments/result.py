@@ -77,7 +77,7 @@ def positive(log_value: float, log_sd: float = math.nan, dof: float = math.inf) 
 def undetermined(parameters: Mapping[str, Parameter]) -> tuple[str, ...]:
     """Return a warning for each parameter whose deviation exceeds its magnitude."""
     return tuple(
-        f"{name} is {p.value:.3g} with a deviation of {p.sd:.3g}: the data do not determine it"
+        f"{name} is {p.value:.3g} with an sd of {p.sd:.3g}: the data do not determine it"
         for name, p in parameters.items()
         if p.sd > abs(p.value)
     )

@@ -172,7 +172,7 @@ def check_arguments(arguments: Sequence[str]) -> list[list[Section]]:
     ros_options = list(_ros_options(arguments))
     for option in _ROS_OPTIONS:
         if arguments.count(option) > [one for one, _ in ros_options].count(option):
-            raise InputError(f"{option} counts after --ros-args alone: put --ros-args before it")
+            raise InputError(f"{option} counts only after --ros-args: put --ros-args before it")
     for option, value in ros_options:
         if option == "--params-file":
             files.append(read_sections(value))

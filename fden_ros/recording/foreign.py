@@ -15,13 +15,13 @@ _KINDS: tuple[tuple[bytes | tuple[bytes, ...], str], ...] = (
     (b"\x04\x22\x4d\x18", "it is compressed with lz4: unpack it with lz4 -d"),
     (b"7z\xbc\xaf", "it is compressed with 7-Zip: unpack it"),
     (b"MATLAB", f"it is a MATLAB file: {_AS_CSV}"),
-    (b"\x89HDF", f"it is an HDF5 file, as of MATLAB 7.3: {_AS_CSV}"),
+    (b"\x89HDF", f"it is an HDF5 file, such as MATLAB 7.3 writes: {_AS_CSV}"),
     (b"PAR1", f"it is a Parquet file: {_AS_CSV}"),
-    (b"TDSm", f"it is a TDMS file of LabVIEW: {_AS_CSV}"),
-    (b"\x93NUMPY", f"it is an array of numpy: {_AS_CSV}"),
+    (b"TDSm", f"it is a LabVIEW TDMS file: {_AS_CSV}"),
+    (b"\x93NUMPY", f"it is a numpy array: {_AS_CSV}"),
     ((b"{", b"[{", b"[["), f"it is JSON: {_AS_CSV}"),
     (b"<?xml", f"it is XML: {_AS_CSV}"),
-    ((b"<html", b"<!DOCTYPE", b"<table"), f"it is a page of HTML: {_AS_CSV}"),
+    ((b"<html", b"<!DOCTYPE", b"<table"), f"it is an HTML page: {_AS_CSV}"),
 )
 
 

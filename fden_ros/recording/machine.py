@@ -66,7 +66,7 @@ def machine_values(
             "force.measure_bias": False,
             "plausibility.max_force": most,
         }
-        why = "by --from-touch" if from_touch else "by the specimen before the headings"
+        why = "by --from-touch" if from_touch else "because of the specimen before the headings"
         return {**values, **touched}, (*lines, f"{_shown(touched)}, {why}"), ()
     question = (
         f"{table.path.name} may begin at the touch, without air: then give --from-touch, "

@@ -61,9 +61,7 @@ class BagReader:
         self._files.sort(key=lambda file: file.start_ns or 0)
         self._topics = self._joined()
         if not self._topics:
-            raise InputError(
-                f"{self.path} holds no messages of ROS: expected topics encoded in CDR"
-            )
+            raise InputError(f"{self.path} holds no ROS messages: expected topics encoded in CDR")
 
     @property
     def topics(self) -> tuple[Topic, ...]:

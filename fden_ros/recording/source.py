@@ -155,7 +155,7 @@ class BagSource:
         if self._frames is not None:
             self._find_transforms()
         self._notes = [
-            f"{topic.name} is commanded by its name, not measured"
+            f"{topic.name} is commanded, not measured, as its name says"
             for topic in self._measured.values()
             if is_commanded(topic)
         ]

@@ -43,7 +43,7 @@ def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
         stamped = [pair for pair in pairs if pair[0]]
         first = f"of the first {len(pairs)} header stamps of {topic}"
         if zeros := len(pairs) - len(stamped):
-            lines.append(f"{zeros} {first} are 0, which is none: {_REMEDY}")
+            lines.append(f"{zeros} {first} are 0, which means none: {_REMEDY}")
         elif len(times) >= _STANDSTILL and len(headers) <= max(_DIFFERENT * len(times), 1):
             lines.append(f"only {len(headers)} {first} differ: {_REMEDY}")
         if len(headers) > 1:
@@ -53,6 +53,6 @@ def problems(stamps: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
         if abs(delay - least) > _SAME_CLOCK:
             lines.append(
                 f"header stamps of {topic} are {delay:.6g} s before its times of recording, those "
-                f"of {other} {least:.6g} s: of two clocks? Then {_REMEDY}"
+                f"of {other} {least:.6g} s: from two clocks? Then {_REMEDY}"
             )
     return lines

@@ -245,7 +245,7 @@ class TableReader:
         words = [f"column {column.name}"]
         words += [f"({heading.text})"] if heading.text not in ("", column.name) else []
         words += [f"[{heading.unit}]"] if heading.unit else []
-        words += ["with its sign turned"] if column.factor and column.factor < 0 else []
+        words += ["with the opposite sign"] if column.factor and column.factor < 0 else []
         return " ".join(words)
 
     def _numbered(self, column: Column, times: Array, lines: Sequence[tuple[int, str]]) -> Any:
@@ -281,7 +281,7 @@ class TableReader:
         for column in (self.columns.force, self.columns.displacement):
             rank = self.layout.headings[self._index(column.name)].rank
             if not column.name.isdigit() and not rank:
-                yield f"{self.named(column)} is commanded by its heading, not measured"
+                yield f"{self.named(column)} is commanded, not measured, as its heading says"
 
     def _gaps(self) -> Iterator[str]:
         """Warn about gaps of the rows; of repeated values the force keeps the first."""

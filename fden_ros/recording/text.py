@@ -187,7 +187,7 @@ class Layout:
         shown = ", ".join(filter(None, cells))[:_SHOWN]
         return (
             f"{self.path.name} ends at line {number} ({shown}): {len(lines)} "
-            f"{'lines' if below else 'line'} from there on left out"
+            f"{'lines are' if below else 'line is'} left out from there on"
         )
 
     def _no_number(self, number: int, line: str, wanted: Iterable[int]) -> InputError:
@@ -231,7 +231,7 @@ def layout_of(path: str | Path, names: Iterable[str] = ()) -> Layout:
     if headings and most > len(headings):
         raise InputError(
             f"{path} has rows of {most} cells below {len(headings)} headings: name every column; "
-            "between decimal commas write semicolons"
+            "with decimal commas, separate cells by semicolons"
         )
     columns = range(max((len(headings), *map(len, sample))))
     return Layout(
@@ -409,7 +409,7 @@ def _decoded(path: Path, data: bytes) -> str:
     # The rest belongs to a recording that ended early.
     data = data.rstrip(b"\0")
     if b"\0" in data:
-        raise _unreadable(path, "it is not a text of comma-separated values")
+        raise _unreadable(path, "it is not a text file of comma-separated values")
     try:
         return codecs.getincrementaldecoder("utf-8-sig")().decode(data)
     except UnicodeDecodeError:

@@ -39,7 +39,7 @@ def normalised(quaternion: Quaternion) -> Quaternion:
     """Return a quaternion of length 1; a ValueError says that it was far from that."""
     length = math.hypot(*quaternion)
     if not abs(length - 1.0) <= TOLERANCE:
-        raise ValueError(f"the quaternion {quaternion} has length {length:g}, must be 1")
+        raise ValueError(f"the quaternion {quaternion} has length {length:g}; it must be 1")
     x, y, z, w = (part / length for part in quaternion)
     return x, y, z, w
 
