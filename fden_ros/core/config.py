@@ -35,7 +35,7 @@ class SiteConfig:
     distance: float = parameter(
         "site.distance",
         0.0,
-        "Sideways distance to a new site; 0: radius/5, 0.5 to 2 mm.",
+        "Sideways distance at which a new site begins; 0: radius/5, from 0.5 to 2 mm.",
         "m",
         0.0,
         1.0,

@@ -93,8 +93,8 @@ class Uncertainty:
     surface_motion_sd: float = parameter(
         "surface.motion_sd",
         0.00012,
-        "Standard deviation of its unmeasured motion in one second, such as breathing; 0: it "
-        "rests.",
+        "Standard deviation of the surface's unmeasured motion in one second, such as breathing; "
+        "0: it rests.",
         "m",
         0.0,
         0.1,

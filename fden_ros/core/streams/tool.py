@@ -85,7 +85,7 @@ class ToolWeight:
     centre_of_mass: Vector = parameter(
         "tool.centre_of_mass",
         (0.0, 0.0, 0.0),
-        "Its centre in the sensor's frame; used only for a torque.",
+        "Centre of mass in the sensor's frame; used only for a torque.",
         "m",
         may_be_zero=True,
     )
