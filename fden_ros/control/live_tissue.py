@@ -3,8 +3,8 @@
 
 """The latest reliable estimate with its age, or the reason why there is none.
 
-The counterpart for states of :class:`fden_ros.tissue_feed.TissueFeed`, which works on messages. So
-a closed loop can be simulated without ROS and by the same rules.
+It works on states, as :class:`fden_ros.tissue_feed.TissueFeed` does on messages, so a closed loop
+can be simulated without ROS by the same rules.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fden_ros.core.stiffness import NOT_MEASURED, Slopes
 from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
 
-#: The numbers of the law may be wrong by more than their deviations; a measured slope holds.
+#: With these the numbers of the law may be off by more than their sd; a measured slope holds.
 LAW_FLAGS = (
     Flag.MODEL_MISMATCH
     | Flag.AT_PRIOR_LIMIT
@@ -190,7 +190,7 @@ class LiveTissue:
     def stiffness(self, time_scale: float = 0.1, now: float | None = None) -> Stiffness | None:
         """Return dF/dd for a small motion of `time_scale` [s], or None.
 
-        N/m by the law where that is known, else the slope of the newest loading where that is.
+        N/m from the law if that is known, else the slope of the newest loading if that is.
         """
         with self._lock:
             state, cause = self._state, self._cause(_time(now))

@@ -111,7 +111,7 @@ class LiftOff:
         return compression < (1.0 - SLIGHT) * self._deepest
 
     def _is_hidden_free(self, step: float, compression: float, known: KnownTissue) -> bool:
-        """Whether, by the law, the tissue is off the probe where noise hides the force.
+        """Whether the law says that the tissue is off the probe where noise hides the force.
 
         The law gives the stress to a few standard deviations of the noise. Near the surface its
         answer would alternate from sample to sample, and each time the memory would take noise for

@@ -52,7 +52,7 @@ class Pipeline:
     Parameters
     ----------
     emit : callable
-        Called with every output, in order of stamps. What it raises is not caught.
+        Called with every output, in order of stamps. Its exceptions are not caught.
     """
 
     def __init__(self, config: PipelineConfig, emit: Callable[[Output], None]) -> None:

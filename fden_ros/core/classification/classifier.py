@@ -21,8 +21,8 @@ over a gamma distributed g. With :math:`\Sigma = K K^T` and :math:`K^T \Lambda K
    + \tfrac12 \sum_i \left[ \frac{h_i^2}{\lambda_i + g} - \ln(1 + \lambda_i / g) \right],
    \qquad m = \mu - c, \quad h = V^T K^T (s - \Lambda m).
 
-``unknown`` is one more class, as wide as soft tissue is. ``p_value`` is the share of contacts with
-the best fitting tissue that lie as far from its centre as this one, or farther.
+``unknown`` is a further class that spans all soft tissue. ``p_value`` is the share of contacts
+with the best fitting tissue that lie as far from its centre as this one, or farther.
 """
 
 from __future__ import annotations

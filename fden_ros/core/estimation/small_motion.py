@@ -9,9 +9,9 @@ A small step at the indentation u is answered, a time tau later, by
     k = \frac{\psi'(x)\,x'(u)}{c\,L}\,E(\tau), \qquad \psi = \varphi\,e^{\epsilon(x)}, \quad
     E(\tau) = \sum_r w_r(\alpha)\,e^{\delta_r - \lambda_r \tau}
 
-with c the stress by force, in series with what the tool yields. It is of force and displacement as
-they are measured, so the thickness does not count. Its logarithm is close to linear in what is
-not known at each node: moments are taken at each, and mixed.
+with c the stress by force, in series with what the tool yields. It relates force and displacement
+as they are measured, so the thickness does not matter. Its logarithm is close to linear in what
+is not known at each node: moments are taken at each, and mixed.
 """
 
 from __future__ import annotations
