@@ -348,6 +348,38 @@ def test_same_samples_in_other_parts_give_the_same_bits() -> None:
     assert len({(one.mean.tobytes(), one.covariance.tobytes()) for one in found}) == 1
 
 
+def test_rounds_of_several_places_are_apart_and_odds_wait_for_all_of_them() -> None:
+    """A touch that may be of three places: all in one block would hold up a live estimate."""
+    samples, before = pressed(2), released(pressed(1))[0]
+    config = EstimatorConfig(uncertainty=EXACT)
+    estimator = GridEstimator(Setting(config, GEOMETRY, NOISE, CONTACT_POINT_SD))
+    estimator.may_continue(before, 0.0, 0.0)
+    estimator.touch(Touch(0.3 * NOISE, 0.0, np.zeros((3, 0))), 1.0)
+    places = estimator._hypotheses
+    filters, weights = [one.place.filter for one in places], [one.log_weight for one in places]
+    newest, gaps, held = 0.0, [], 0
+    for time, u, stress in zip(*(column.tolist() for column in samples[:3]), strict=True):
+        was_held, is_behind = places[0].held is not None, time < 0.2
+        estimator.add([time], [u], [stress], [True], is_behind=is_behind)
+        if not is_behind:
+            estimator.work()
+        laid = [one.place.filter for one in places]
+        changed = sum(a is not b for a, b in zip(laid, filters, strict=True))
+        assert changed <= (not is_behind)
+        if changed:
+            gaps.append(time - newest)
+            newest = time
+        if was_held and places[0].held is not None:
+            held += 1
+            assert [one.log_weight for one in places] == weights
+        filters, weights = laid, [one.log_weight for one in places]
+        if len(estimator._hypotheses) < len(places):
+            break
+    assert held
+    assert len(gaps) >= 3
+    assert min(gaps[1:]) > 0.037
+
+
 @pytest.mark.parametrize("seed", first(0, 1, 2))
 def test_another_laying_changes_little(seed: int) -> None:
     """A settled grid is laid anew: by less than .05 of a deviation in the mean."""

@@ -268,6 +268,8 @@ class PaperFilter(Estimator):
         indentation: Sequence[float],
         stress: Sequence[float],
         on_tissue: Sequence[bool],
+        *,
+        is_behind: bool = False,
     ) -> Estimate:
         """Add a block up to the lift-off; see :meth:`~.estimation.Estimator.add`."""
         self._is_over |= not all(on_tissue)

@@ -272,7 +272,8 @@ class Site(Standing):
         fractional_stress = float(weights @ memory)
         if learns and self.is_observed and self._estimator is not None:
             self._lift_off.see_mean(means.force)
-            estimate = self._estimator.add(*zip(*self._samples, strict=True))
+            samples = zip(*self._samples, strict=True)
+            estimate = self._estimator.add(*samples, is_behind=is_silent)
             self._samples.clear()
             found = None if means.has_free else self._estimator.innovation
             if found is not None:

@@ -187,7 +187,7 @@ class Contact:
         results = self._account.close_block(
             pair.stamp_ns, block, learns=learns, is_silent=is_silent
         )
-        return itertools.chain(outputs, results, self._work())
+        return itertools.chain(outputs, results, () if is_silent else self._work())
 
     def _work(self) -> Iterator[Output]:
         """Let the estimator work, last of a chain: the outputs before do not wait for it."""
@@ -280,7 +280,7 @@ class Contact:
 
     def settle(self, stamp_ns: int) -> None:
         """Let the estimator do a part of its last work, once no output waits."""
-        if self.state is State.RELEASED and stamp_ns - self._settled_ns >= _PART_NS // 2:
+        if self.state is State.RELEASED and stamp_ns - self._settled_ns >= _PART_NS:
             self._settled_ns = stamp_ns
             self.site.settle()
 

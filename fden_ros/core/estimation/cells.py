@@ -283,10 +283,17 @@ def _groups(rows: _Rows, corner: Array, most: int) -> Indices:
     measure += np.cumsum(age) / max(age.sum(), 1e-12)
     rise = np.log(np.maximum.accumulate(np.maximum(rows.stresses, 0.0)) + _LOW * scale)
     measure += _FIRST_RISE * (rise - rise[0]) / max(float(rise[-1] - rise[0]), 1e-12)
-    cell = np.floor(measure / measure[-1] * (most - 1e-6)).astype(np.intp)
-    begins = (np.diff(cell, prepend=cell[0]) > 0) | turns | np.append(False, turns[:-1])
-    begins[0] = False
-    return np.cumsum(begins)
+    fixed = turns | np.append(False, turns[:-1])
+    cells = np.arange(0)
+    # Parts of the measure may be without a block: as many more as give as many cells.
+    for parts in range(most, 4 * most, most // 4):
+        part = np.floor(measure / measure[-1] * (parts - 1e-6)).astype(np.intp)
+        begins = (np.diff(part, prepend=part[0]) > 0) | fixed
+        begins[0] = False
+        if cells.size and np.count_nonzero(begins) >= most:
+            break
+        cells = np.cumsum(begins)
+    return cells
 
 
 def gathered(blocks: Sequence[Block], noise_sd: float, most: int) -> Press:

@@ -40,8 +40,8 @@ _ODDS, _FAR = 20.0, 200.0
 #: where the logarithm of its odds has changed by the first, and, with the likeliest one, before it
 #: is dropped, where there are more cells since its newest grid than the second.
 _STALE, _FRESH = 2.0, 8
-#: Least time between two rounds [s].
-_ROUND_TIME = 0.03
+#: Least time between two rounds [s]: of 160 cells one takes 25 ms.
+_ROUND_TIME = 0.04
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -59,12 +59,15 @@ class _Hypothesis:
     log_prior: float = 0.0  #: before the press that is open, or the last
     shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
     base: float = 0.0  #: log evidence of its record before this counts
+    held: float | None = None  #: its weight while not all are gathered to the same cells
     grid: Grid | None = None  #: the newest
     laid_odds: float = 0.0  #: logarithm of the odds to the best when that was laid
 
     @property
     def log_weight(self) -> float:
         """Of it by now, as a logarithm."""
+        if self.held is not None:
+            return self.held
         return self.log_prior + self.place.log_evidence - self.base
 
 
@@ -89,8 +92,8 @@ class GridEstimator(Estimator):
         self._setting = setting
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
-        self._block_at = self._round_at = 0.0  #: the newest block and round [s]
-        self._is_new = False  #: a block has come since the last work
+        self._round_at = self._step = 0.0  #: of the last round, and from sample to sample [s]
+        self._is_due = False  #: a block has come since nothing was to be laid
         self._newest = self._prior()  #: estimate
         self._ending: Iterator[None] | None = None  #: the last rounds of a press
 
@@ -120,7 +123,7 @@ class GridEstimator(Estimator):
 
     def touch(self, onset: Touch, pause: float) -> None:
         """Begin a press, a time without stress [s] after the last sample."""
-        self._now = self._touched_at = self._block_at = self._now + pause
+        self._now = self._touched_at = self._now + pause
         # Evidences compare where the records are of the same data.
         reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
@@ -135,53 +138,71 @@ class GridEstimator(Estimator):
         indentation: Sequence[float],
         stress: Sequence[float],
         on_tissue: Sequence[bool],
+        *,
+        is_behind: bool = False,
     ) -> Estimate:
         """Take samples of the press; see :meth:`~.estimation.Estimator.add`."""
         has_block = False
         for time, u, f, on in zip(times, indentation, stress, on_tissue, strict=True):
             if self._touched_at + time < self._now:
                 continue  # the press before had it
-            self.work()
-            self._now = self._touched_at + time
+            if not is_behind:
+                self.work()
+            self._step, self._now = self._touched_at + time - self._now, self._touched_at + time
             done = [
                 one.place.add(self._now, u + one.shift, f, on_tissue=on)
                 for one in self._hypotheses
             ]
-            self._is_new = any(done)
-            has_block |= self._is_new
+            has_block |= any(done)
+            self._is_due |= any(done)
         self._count += len(times)
         return self.estimate() if has_block else self._as_before()
 
     def work(self) -> None:
-        """Lay the grids that the newest block has made due; see :meth:`~.Estimator.work`."""
-        if self._is_new:
-            self._is_new = False
-            # Those of one touch are gathered at the same block: evidences are of the same cells.
-            for one in self._hypotheses:
-                one.place.gather()
-            self._take_turns()
+        """Lay what the blocks have made due, a round each 40 ms; see :meth:`~.Estimator.work`.
 
-    def _take_turns(self) -> None:
-        """Lay a round of the place that has waited for longest, at most one each 30 ms.
-
-        A block of a slow sensor has the time of several.
+        A sample of a slow sensor has the time of several.
         """
-        self._note_odds()
-        stale = self._drop()
-        before, self._block_at = self._block_at, self._now
-        if self._now - self._round_at < _ROUND_TIME:
+        if not self._is_due or self._now - self._round_at < _ROUND_TIME:
             return
-        for _ in range(max(int((self._now - before) / _ROUND_TIME), 1)):
-            places = [one.place for one in self._hypotheses if one.place.is_due or one in stale]
-            due = [place for place in places if not place.gate.is_beyond]
-            if due:
-                own = min(due, key=lambda place: place.laid_at)
-                own.lay()
-                stale = [one for one in stale if one.place is not own]
-            elif not self.best.ask():
+        for _ in range(max(math.ceil(self._step / _ROUND_TIME), 1)):
+            self._is_due = self._gather() or self._take_turn()
+            if not self._is_due:
                 break
             self._round_at = self._now
-            self._note_odds()
+
+    def _gather(self) -> bool:
+        """Gather one of the places whose blocks wait for that; False: there is none.
+
+        Evidences are of the same cells: until all are gathered, the weights are as before.
+        """
+        waiting = [one for one in self._hypotheses if one.place.is_waiting]
+        if not waiting:
+            return False
+        for one in self._hypotheses:
+            one.held = one.log_weight
+        waiting[0].place.gather()
+        if len(waiting) == 1:
+            self._compare()
+        return True
+
+    def _compare(self) -> None:
+        for one in self._hypotheses:
+            one.held = None
+        self._note_odds()
+
+    def _take_turn(self) -> bool:
+        """Lay a round of the place that has waited for longest; False: none is due."""
+        self._note_odds()
+        stale = self._drop()
+        places = [one.place for one in self._hypotheses if one.place.is_due or one in stale]
+        due = [place for place in places if not place.gate.is_beyond]
+        if due:
+            min(due, key=lambda place: place.laid_at).lay()
+        elif not self.best.ask():
+            return False
+        self._note_odds()
+        return True
 
     def _drop(self) -> list[_Hypothesis]:
         """Drop places that are far less likely; return those to be weighed anew before."""
@@ -210,7 +231,6 @@ class GridEstimator(Estimator):
         for one in self._hypotheses:
             if (own := one.place.filter) is not None and own.grid is not one.grid:
                 one.grid, one.laid_odds = own.grid, one.log_weight - best
-                self._round_at = self._now
 
     def settle(self) -> None:
         """End the press by one round more; see :meth:`~.estimation.Estimator.settle`."""
@@ -220,7 +240,10 @@ class GridEstimator(Estimator):
     def _last_rounds(self) -> Iterator[None]:
         self.work()
         for one in self._hypotheses:
+            one.held = one.log_weight
+        for one in self._hypotheses:
             yield from one.place.release()
+        self._compare()
         self._hypotheses = self._possible(_ODDS)
         yield from self.best.ask_rival()
 

@@ -70,6 +70,8 @@ class Estimator:
         indentation: Sequence[float],
         stress: Sequence[float],
         on_tissue: Sequence[bool],
+        *,
+        is_behind: bool = False,
     ) -> Estimate:
         """Take the samples of a block; return the estimate by now.
 
@@ -81,6 +83,8 @@ class Estimator:
             From the nominal contact point [1]; [Pa].
         on_tissue : sequence of bool
             Whether the probe is on the tissue, as far as is known.
+        is_behind : bool
+            Newer samples wait: what takes time is put off.
         """
         raise NotImplementedError
 

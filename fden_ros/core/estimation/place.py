@@ -3,7 +3,7 @@
 
 """One record of all presses of a place, and when its grid is laid anew.
 
-Each block of the press appends a cell. At most one round is laid a block, of the record by then:
+Each block of the press appends a cell. One round is laid at a time, of the record by then:
 nothing has to be caught up with. The posterior is at any time that of the newest grid and the
 cells since; nothing is claimed of one that is not settled.
 """
@@ -45,8 +45,8 @@ from fden_ros.core.estimation.rival import Rival
 _LEAST_BLOCKS, _LEAST_TIME = 8, TOUCH_TIME
 #: A grid is laid anew where depth or time have grown by this factor [1].
 _GROWTH = 1.25
-#: Cells of a press while it is open, when it is gathered anew, and of one that has ended [1].
-_GATHERED, _MOST, _ENDED = 40, 72, 40
+#: Cells of a press that is gathered, and when it is gathered anew [1].
+_GATHERED, _MOST = 40, 72
 #: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
 _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
@@ -99,8 +99,9 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._tails: list[Press] = []  #: of the press, since the newest grid
-        self._blocks = 0
         self._newest: Block | None = None
+        #: Blocks that wait to be gathered to fewer cells, and those that have come since.
+        self._waiting: tuple[list[Block], list[Block]] | None = None
         self.laid_at = 0.0
         self._laid_deep = 0.0  #: the deepest indentation by then [1]
         self._fastest = 0.0
@@ -183,7 +184,7 @@ class PlacePosterior:
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self._tails, self.now = touch, None, [], now
-        self._began, self._steps, self._blocks, self._newest = now, 0, 0, None
+        self._began, self._steps, self._newest, self._waiting = now, 0, None, None
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
         self.gate, self._start = ChangeGate(), None
@@ -209,29 +210,37 @@ class PlacePosterior:
         return bool(done)
 
     def _append(self, block: Block) -> None:
-        self._blocks += 1
         self._newest = block
         if block.is_observed:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block)
         if self._press is not None:
-            assert self.filter is not None
-            tail = self.filter.path.tail(block, self.noise_sd)
-            self._tails.append(tail)
-            found = self.filter.append(tail)
+            found = self._follow(block)
             if found is not None:
                 self._see_innovation(found)
+        if self._waiting is not None:
+            self._waiting[1].append(block)
+        elif block.is_observed and self._is_full(block):
+            blocks = self._observed()
+            if len(blocks) >= _LEAST_BLOCKS:
+                self._waiting = blocks, []
 
-    def gather(self) -> None:
-        """Lay the first grid of a press, and one of fewer cells where there are many."""
-        if (block := self._newest) is None or not block.is_observed:
-            return
+    def _follow(self, block: Block) -> Innovation | None:
+        assert self.filter is not None
+        tail = self.filter.path.tail(block, self.noise_sd)
+        self._tails.append(tail)
+        return self.filter.append(tail)
+
+    def _is_full(self, newest: Block) -> bool:
+        """Whether the first grid of a press is due, or one of fewer cells, as there are many."""
         if self._press is not None:
-            is_due = self._cells >= _MOST
-        else:
-            is_due = self._blocks >= _LEAST_BLOCKS and block.middle - self._began >= _LEAST_TIME
-        if is_due:
-            self.lay()
+            return self._cells >= _MOST
+        return newest.middle - self._began >= _LEAST_TIME
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether blocks wait to be gathered."""
+        return self._waiting is not None
 
     def ask(self) -> bool:
         """Lay one round of another grid: from nothing, or of a rival; False: nothing is due."""
@@ -316,17 +325,27 @@ class PlacePosterior:
         last = max((k for k, block in enumerate(blocks) if block.is_observed), default=-1)
         return blocks[: last + 1]
 
-    def lay(self, *, most: int = _GATHERED) -> None:
+    def gather(self) -> None:
+        """Lay one round of the blocks that have waited, gathered, and follow those since."""
+        if self._waiting is None:
+            return
+        (blocks, since), self._waiting = self._waiting, None
+        self._lay_gathered(blocks)
+        for block in since:
+            self._follow(block)
+
+    def lay(self) -> None:
         """Lay one round of the record by now."""
-        if self._press is None or self._cells >= _MOST or most != _GATHERED:
-            blocks = self._observed()
-            if len(blocks) < _LEAST_BLOCKS:
-                return
-            self._press = replace(gathered(blocks, self.noise_sd, most), spot=self._spot)
-        else:
-            self._press = self._press.appended(self._tails).remembered()
+        assert self._press is not None
+        self._lay(self._press.appended(self._tails).remembered())
+
+    def _lay_gathered(self, blocks: list[Block]) -> None:
+        self._lay(replace(gathered(blocks, self.noise_sd, _GATHERED), spot=self._spot))
+
+    def _lay(self, press: Press) -> None:
+        self._press = press
         self._tails.clear()
-        law = self._law(self._press)
+        law = self._law(press)
         if self.filter is not None and law.last_knot != self.filter.grid.law.last_knot:
             self._start = None  # its errors have other knots
         noise = Noise(self.setting.noise_sd, self.noise_sd)
@@ -374,18 +393,19 @@ class PlacePosterior:
             return
         for block in self._record.close():
             self._append(block)
-            self.gather()
-        if self._press is not None:
-            self.lay(most=_ENDED)
+        if self.is_waiting or self._press is not None:
+            self._waiting = None
+            self._lay_gathered(self._observed())
             yield
-            if self.filter is not None and self.elapsed > _AFRESH_END * self._afresh_at:
+            assert self.filter is not None and self._press is not None
+            if self.elapsed > _AFRESH_END * self._afresh_at:
                 own = likelier = self.filter.grid
                 for afresh in rounds(own.law, own.noise, most=_LAST_ROUNDS):
                     likelier = _likelier(own, afresh)
                     yield
                 self._take(likelier)
             for _ in range(_LAST_ROUNDS):
-                if self.filter is None or self.filter.grid.is_settled:
+                if self.filter.grid.is_settled:
                     break
                 self.lay()
                 yield
