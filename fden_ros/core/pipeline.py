@@ -262,7 +262,9 @@ class Pipeline:
             self._clock_jumps,
         )
         found = {words: n for words, n in self._session.warnings.items() if words and n}
-        return {**dict.fromkeys(self.problems, 1), **found, **odd}
+        # Of what was no air, a sign that is wrong comes first.
+        first, then = (odd, found) if self.is_air_doubted else (found, odd)
+        return {**dict.fromkeys(self.problems, 1), **first, **then}
 
     # Pairs
 
