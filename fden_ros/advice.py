@@ -39,7 +39,9 @@ ESTIMATION_FAILED | the computation failed at this site: there is no estimate un
   | report it, with the traceback of the log
 MODEL_MISMATCH | the model does not describe this contact: it mispredicts the force
   | rely on the measured slope, and measure the delay with fden configure
-TISSUE_CHANGED | the tissue changed within the contact | press elsewhere, or less deeply
+TISSUE_CHANGED | the tissue changed within the contact
+  | press elsewhere, or less deeply; if it changes in every contact, measure the delay with
+  fden configure
 ALPHA_PRIOR_CONFLICT | the relaxation contradicts the stated alpha
   | learn alpha from the data (alpha.learn: true), or state the alpha of this tissue
 RIG_PRIOR_CONFLICT | delay, friction, compliance or play is more than 2.5 standard deviations
@@ -62,7 +64,8 @@ compliance | compliance | state displacement.compliance_sd
 backlash | play of the drive | press deeper, or measure the position of the tip
 delay | delay | measure it with fden configure
 surface | the position of the surface | touch more slowly
-law | errors of the law | hold for 2 s, and press here again
+law | errors of the law, or a delay
+  | measure the delay with fden configure, hold for 2 s, and press here again
 thickness | thickness | state geometry.thickness_sd
 prior | the width of the prior | hold for 2 s for alpha, or press deeper
 """)

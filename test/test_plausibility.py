@@ -15,6 +15,7 @@ from benchmark.trial import fed
 from fden_ros.control import Cause, LiveTissue
 from fden_ros.core.estimation import Prior
 from fden_ros.core.outputs import Classification, ContactSummary, Flag, Output, TissueState
+from fden_ros.offline.advice import shortfall
 from fden_ros.offline.replay import Replay, replay
 from fden_ros.parameters import check
 from fden_ros.recording.source import Selection
@@ -190,3 +191,16 @@ def test_a_press_is_the_same_tissue_in_any_size(size: float, stress: float) -> N
     assert estimate.linear_stiffness / stress == pytest.approx(448.0, rel=0.02)
     assert estimate.nonlinear_stiffness == pytest.approx(9.0, rel=0.02)
     assert slope.value / (size * stress) == pytest.approx(43.0, rel=0.04)
+
+
+@pytest.mark.parametrize("late", [0.03, 0.05])
+def test_of_a_press_that_a_delay_spoils_the_remedy_names_the_delay(late):
+    """A press of the same place again took a delay of 30 ms for softer tissue."""
+    times, forces, mm = FIRST_PRESS.T
+    depths = 1e-3 * np.interp(times - late, times, mm)
+    pipeline, outputs = of_columns(PROBE, times, forces, depths)
+    (summary,) = summaries_of(outputs)
+    assert "measure the delay" in shortfall(summary, pipeline.config)
+    pipeline, outputs = of_columns({**PROBE, "displacement.delay": late}, times, forces, depths)
+    (summary,) = summaries_of(outputs)
+    assert summary.converged and not shortfall(summary, pipeline.config)

@@ -110,8 +110,13 @@ def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -
         depth=written(1e3 * geometry.length * compression, 2),
     )
     known = "G is known, " if estimate.knows(0) else ""
-    is_possible = compression < _LARGEST_COMPRESSION
-    return Advice(f"{known}{sentence}{_largest(summary.budget, 1)[1]}", remedy * is_possible)
+    source, share = _largest(summary.budget, 1)
+    if source == "law":
+        # Deeper than any strain at which tissue stiffens, a delay makes the curve straight.
+        remedy = SOURCES[source].remedy
+    elif compression >= _LARGEST_COMPRESSION:
+        remedy = ""
+    return Advice(f"{known}{sentence}{share}", remedy)
 
 
 def _largest(budget: Budget | None, index: int) -> tuple[str, str]:
