@@ -39,7 +39,7 @@ _ODDS, _FAR = 20.0, 200.0
 #: Between two grids the likelihood is that of the leading scales. So a hypothesis is weighed anew
 #: where the logarithm of its odds has changed by the first, and, with the likeliest one, before it
 #: is dropped, where there are more cells since its newest grid than the second.
-_STALE, _FRESH = 2.0, 8
+_STALE, _FRESH = 2.0, 16
 #: Least time between two rounds [s]: of 160 cells one takes 25 ms.
 _ROUND_TIME = 0.04
 #: The log evidence of a grid that is not settled is low by less than this [1].

@@ -702,12 +702,14 @@ def _relinearised(own: Weighed, weights: Array) -> Expansion:
     # What is linear in e^z goes on by the logarithm of a step.
     step = (told - before)[:RIG]
     told[:RIG] = before[:RIG] + np.sign(step) * np.log1p(np.abs(step))
+    rig = _with_tails(own, top, weights, told)
+    if own.start.rounds >= _DAMPED_FROM:
+        told[RIG:], rig = 0.5 * (before + told)[RIG:], np.sqrt(about.rig * rig)
     state = told @ weights
     cross = ((told - state[:, None]) * weights) @ (nodes - mean)
     by_theta = cross @ inverse
     by_theta[KERNEL] = cross[KERNEL] @ of_kernel
     log_g = float(weights @ own.stiffness.log_g[top])
-    rig = _with_tails(own, top, weights, told)
     wanted = Expansion(mean, log_g, state, by_theta, about.stresses, rig)
     return _damped(own, wanted)
 
