@@ -245,5 +245,5 @@ def test_stamps_that_are_no_whole_nanoseconds_and_arrays_for_samples_are_refused
         for stamp in (1.5, np.array([1]), "1"):
             with pytest.raises(TypeError, match="give whole nanoseconds"):
                 add(stamp, 0.1)
-        with pytest.raises(TypeError, match="one number at a time"):
-            add(2, np.zeros(3))
+        with pytest.raises(TypeError, match=r"^a sample is array.*one number at a time$"):
+            add(2, np.arange(500.0))  # in one line

@@ -11,6 +11,7 @@ Samples of force and displacement go in, each stream in its own order; :class:`T
 from __future__ import annotations
 
 import math
+import reprlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -346,6 +347,11 @@ def _check(stamp_ns: object, value: object) -> None:
     if type(stamp_ns) is int and type(value) is float:
         return  # as nearly always: a check of an abstract class takes five times as long
     if not isinstance(stamp_ns, Integral):
-        raise TypeError(f"stamp_ns is {stamp_ns!r}: give whole nanoseconds, round(1e9 * seconds)")
+        raise TypeError(f"stamp_ns is {_brief(stamp_ns)}: give whole nanoseconds, round(1e9 * seconds)")
     if not isinstance(value, Real):
-        raise TypeError(f"a sample is {value!r}: give one number at a time")
+        raise TypeError(f"a sample is {_brief(value)}: give one number at a time")
+
+
+def _brief(value: object) -> str:
+    """Return a value in one line, a long one without its middle."""
+    return " ".join(reprlib.repr(value).split())
