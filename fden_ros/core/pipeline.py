@@ -347,7 +347,9 @@ def _check(stamp_ns: object, value: object) -> None:
     if type(stamp_ns) is int and type(value) is float:
         return  # as nearly always: a check of an abstract class takes five times as long
     if not isinstance(stamp_ns, Integral):
-        raise TypeError(f"stamp_ns is {_brief(stamp_ns)}: give whole nanoseconds, round(1e9 * seconds)")
+        raise TypeError(
+            f"stamp_ns is {_brief(stamp_ns)}: give whole nanoseconds, round(1e9 * seconds)"
+        )
     if not isinstance(value, Real):
         raise TypeError(f"a sample is {_brief(value)}: give one number at a time")
 
