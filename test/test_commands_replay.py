@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from pipeline_helpers import begun
 from rosbags.highlevel import AnyReader
 
 from benchmark.trial import fed
-from fden_ros.core.strokes import REMEDY
+from fden_ros.core.streams import Pair
+from fden_ros.core.strokes import REMEDY, Strokes
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import read_parameter_file
 from fden_ros.recording.reader import BagReader
@@ -202,6 +205,22 @@ def test_a_probe_that_never_lifts_is_told_what_to_write_and_then_has_its_stiffne
     assert fden("replay", table, "--config", config) == 0
     shown = capsys.readouterr().out
     assert "1 stiffness" in " ".join(shown.split()) or "stiffness, cut short" in shown
+
+
+@pytest.mark.parametrize(("rate", "words"), [(12.0, "record at 24 Hz or more"), (50.0, REMEDY)])
+def test_strokes_in_rare_samples_are_told_to_be_recorded_faster(rate, words):
+    """Continuous mode finds nothing there, and a slow ramp with noise looked like strokes."""
+    strokes = Strokes()
+    for k in range(round(10.0 * rate)):
+        depth = 1e-3 * math.sin(2.0 * math.pi * 1.5 * k / rate)
+        pair = Pair(0, 1 + round(1e9 * k / rate), 1.0, depth, None)
+        if not k:
+            onset = SimpleNamespace(samples=[pair], way=np.zeros((3, 0)), displacement=depth)
+            onset.seen = False
+            strokes.touch(onset)
+        strokes.add(pair, in_contact=True)
+    assert words in strokes.warning
+    assert (REMEDY in strokes.warning) == (words == REMEDY)
 
 
 @pytest.mark.parametrize(("lowest", "is_told"), [(1e-3, True), (-1e-3, False)])

@@ -17,6 +17,9 @@ _LIFTED = 0.25
 #: This many consecutive touches without a lift are strokes; one or two are repeated presses. So
 #: are as many periods in one contact whose touch was not seen.
 _LEAST_STROKES = 5
+#: Samples per period that :attr:`REMEDY` needs: with fewer, noise on a slow press may look like a
+#: palpation.
+_SAMPLES_PER_PERIOD = 16
 #: The setting for the parameter file.
 REMEDY = "contact: {mode: continuous}"
 
@@ -26,6 +29,7 @@ class Strokes:
 
     def __init__(self) -> None:
         self.frequency: float | None = None  #: of the palpation, once it is detected [Hz]
+        self._rate = 0.0  # of the samples then [Hz]
         self._strokes = self._lifts = 0
         self.forget()
 
@@ -48,6 +52,12 @@ class Strokes:
         """What to do, in words; empty before a detection."""
         if self.frequency is None:
             return ""
+        needed = _SAMPLES_PER_PERIOD * self.frequency
+        if self._rate < needed:
+            return (
+                f"at {self._rate:.2g} samples a second, presses cannot be told from the strokes "
+                f"of a probe that palpates: record at {needed:.2g} Hz or more"
+            )
         return (
             f"the probe palpates at {self.frequency:.2g} Hz and never lifts clear of the tissue, "
             f"so its strokes are not presses: write {REMEDY} into the parameter file for the "
@@ -91,4 +101,5 @@ class Strokes:
         self._lowest = self._deepest
 
     def _detect(self) -> None:
-        self.frequency = self.frequency or self._finder.value
+        if self.frequency is None:
+            self.frequency, self._rate = self._finder.value, self._finder.rate

@@ -23,7 +23,7 @@ class PalpationFrequency:
     def __init__(self) -> None:
         self.value: float | None = None  #: the frequency [Hz]; None while nothing oscillates
         self._ring = np.zeros(8 * _RATE)  # the last 8 s
-        self._count = 0
+        self._count = self._samples = 0
         self._start: float | None = None
         self._time = self._displacement = 0.0
 
@@ -31,7 +31,8 @@ class PalpationFrequency:
         """Add a sample at a time [s]; times increase."""
         if self._start is None or time - self._time > self._ring.size / _RATE:
             # No stored sample lies within the window before it.
-            self.value, self._count, self._start = None, 0, time
+            self.value, self._count, self._samples, self._start = None, 0, 0, time
+        self._samples += 1
         while (instant := self._start + self._count / _RATE) <= time:
             share = (instant - self._time) / (time - self._time) if self._count else 1.0
             step = displacement - self._displacement
@@ -40,6 +41,11 @@ class PalpationFrequency:
             if self._count >= _PERIODS * _RATE and self._count % (_RATE // 2) == 0:
                 self._look()
         self._time, self._displacement = time, displacement
+
+    @property
+    def rate(self) -> float:
+        """Samples a second so far [Hz]."""
+        return self._samples * _RATE / max(self._count, 1)
 
     def _look(self) -> None:
         found, present = self._dominant(), self.value
