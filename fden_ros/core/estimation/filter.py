@@ -49,6 +49,9 @@ from fden_ros.core.law import RATES
 
 #: Cells that a filter takes before its grid is laid anew [1].
 _ROOM = 48
+#: A tool is bent by a stress of at most as many times the largest of the grid's cells [1]: one that
+#: bends the wrong way would run away, as the stress is that of the indentation without it.
+_MOST_STRESS = 10.0
 #: Places of the scales that are less likely do not predict [1].
 _LEAST_SHARE = 0.02
 
@@ -114,6 +117,7 @@ class Filter:
         self._left = (np.exp(-np.multiply.outer(RATES, since)) * -np.expm1(-y) / y) @ rises
         self._weights = linear.weights
         self._stresses = linear.stresses[-2:].tolist()
+        self._most_stress = _MOST_STRESS * float(linear.stresses.max())
         self._middles = press.middles[-2:].tolist()
         self._loading = grid.covariance.loading
         self._rough = float(grid.covariance.clocks.roughness[-1])
@@ -200,7 +204,8 @@ class Filter:
         """Return the stress that bends the tool at times ahead: as the model has come to."""
         middles = self._middles
         slope = (self._stresses[1] - self._stresses[0]) / max(middles[1] - middles[0], 1e-9)
-        return np.maximum(self._stresses[1] + slope * (times - middles[1]), 0.0)
+        found = self._stresses[1] + slope * (times - middles[1])
+        return np.clip(found, 0.0, self._most_stress)
 
     def append(self, tail: Press) -> Innovation | None:
         """Take the tail of the path; None: it was not observed, or there is no room."""

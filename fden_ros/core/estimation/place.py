@@ -99,6 +99,7 @@ class PlacePosterior:
         self._record: Record | None = None
         self._press: Press | None = None
         self._tails: list[Press] = []  #: of the press, since the newest grid
+        self._blocks = 0
         self._newest: Block | None = None
         #: Blocks that wait to be gathered to fewer cells, and those that have come since.
         self._waiting: tuple[list[Block], list[Block]] | None = None
@@ -184,7 +185,8 @@ class PlacePosterior:
         approach = touch.approach + np.array([[now], [0.0], [0.0]])
         self._record.approach.add(approach, LINE_TOLERANCE + 4.0 * self.noise_sd)
         self._touch, self._press, self._tails, self.now = touch, None, [], now
-        self._began, self._steps, self._newest, self._waiting = now, 0, None, None
+        self._began, self._steps, self._blocks = now, 0, 0
+        self._newest = self._waiting = None
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
         self.gate, self._start = ChangeGate(), None
@@ -211,6 +213,7 @@ class PlacePosterior:
 
     def _append(self, block: Block) -> None:
         self._newest = block
+        self._blocks += 1
         if block.is_observed:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block)
@@ -235,7 +238,7 @@ class PlacePosterior:
         """Whether the first grid of a press is due, or one of fewer cells, as there are many."""
         if self._press is not None:
             return self._cells >= _MOST
-        return newest.middle - self._began >= _LEAST_TIME
+        return self._blocks >= _LEAST_BLOCKS and newest.middle - self._began >= _LEAST_TIME
 
     @property
     def is_waiting(self) -> bool:
