@@ -291,6 +291,20 @@ def test_a_step_out_of_the_orders_ends_at_its_node(size: float) -> None:
     assert _stepped(*case).mean[0] == LOWEST_ORDER
 
 
+def test_a_tool_that_bends_the_wrong_way_does_not_run_away_between_two_rounds() -> None:
+    """The stress bends it further in, which makes the stress larger, block by block."""
+    grid, _ = laid_on(1)
+    law, start, (press,) = grid.law, grid.start, grid.law.place.presses
+    state = start.about.state.copy()
+    (compliance,) = (k for k, (one, _) in enumerate(law.slots, RIG) if one.name == "compliance")
+    state[compliance] = -8.0
+    bent = laid(law, grid.noise, start._replace(about=replace(start.about, state=state)))
+    steps = np.arange(1, 41)
+    times, depths = press.times[-1] + 0.01 * steps, press.indentations[-1] + 2e-3 * steps
+    _, variance = Filter(bent).ahead(times, depths)
+    assert np.sqrt(variance.max()) < 100.0 * press.stresses.max()
+
+
 def test_another_spot_has_a_contact_point_of_its_own() -> None:
     mean, covariance = Posterior.of(Filter(laid_on(1, shift=0.015)[0])).tissue
     assert abs(mean[3] - 0.015) < 3.0 * math.sqrt(covariance[3, 3]) < 0.015

@@ -49,8 +49,8 @@ from fden_ros.core.law import RATES
 
 #: Cells that a filter takes before its grid is laid anew [1].
 _ROOM = 48
-#: A tool is bent by a stress of at most as many times the largest of the grid's cells [1]: one that
-#: bends the wrong way would run away, as the stress is that of the indentation without it.
+#: A tool is bent by a stress of at most as many times the largest of the grid's cells [1]: where
+#: the model bends it the wrong way, its stress would run away.
 _MOST_STRESS = 10.0
 #: Places of the scales that are less likely do not predict [1].
 _LEAST_SHARE = 0.02
