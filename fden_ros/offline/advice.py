@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from fden_ros.advice import FLAGS, LACKS, SOURCES, Advice
 from fden_ros.core.config import PipelineConfig
@@ -18,6 +18,8 @@ from fden_ros.written import quantity, written
 _BEYOND_BOUNDARY = 1.5
 #: Largest strain of soft tissue in practice, as a part of its thickness or the probe's radius.
 _LARGEST_COMPRESSION = 0.7
+#: A source of variance is named beside the largest above this part of it [1].
+_NEAR = 0.75
 #: Flags that explain what a contact lacks, whatever its budget.
 _REASONS = (
     Flag.TOUCH_NOT_OBSERVED,
@@ -95,8 +97,9 @@ def _lack(summary: ContactSummary, config: PipelineConfig) -> Advice | None:
         sd = min(float(estimate.deviations[k]), 20.0)
         spread = f"{100.0 * sd:.0f} %" if sd < 1.0 else f"a factor of {written(math.exp(sd), 2)}"
         known.append(f"{('G', 'Gn')[k]} is known to {spread}")
-    source, share = _largest(budget, poor[0])
-    return Advice(f"{', '.join(known)} only{share}", SOURCES[source].remedy)
+    sources, shares = _largest(budget, poor[0])
+    remedies = "; or ".join(SOURCES[source].remedy for source in sources)
+    return Advice(f"{', '.join(known)} only{shares}", remedies)
 
 
 def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -> Advice:
@@ -110,23 +113,29 @@ def _bend(summary: ContactSummary, estimate: Estimate, config: PipelineConfig) -
         depth=written(1e3 * geometry.length * compression, 2),
     )
     known = "G is known, " if estimate.knows(0) else ""
-    source, share = _largest(summary.budget, 1)
-    if source == "law":
+    sources, shares = _largest(summary.budget, 1)
+    if "law" in sources:
         # Deeper than any strain at which tissue stiffens, a delay makes the curve straight.
-        remedy = SOURCES[source].remedy
+        remedy = SOURCES["law"].remedy
     elif compression >= _LARGEST_COMPRESSION:
         remedy = ""
-    return Advice(f"{known}{sentence}{share}", remedy)
+    return Advice(f"{known}{sentence}{shares}", remedy)
 
 
-def _largest(budget: Budget | None, index: int) -> tuple[str, str]:
+def _largest(budget: Budget | None, index: int) -> tuple[Sequence[str], str]:
     """Return the largest source of the variance of ln G or ln Gn, and its share in words.
 
-    The uncertainty of Gn and alpha follows from the others, which come first.
+    With the next one where that is nearly as large. The uncertainty of Gn and alpha follows from
+    the others, which come first.
     """
     names = budget.largest(index) if budget is not None else ()
-    name = next((one for one in names if one != "prior"), "prior")
-    if budget is None or name not in names:
-        return name, ""
-    share = 100.0 * budget.share(name, index)
-    return name, f" ({share:.0f} % of the variance: {SOURCES[name].sentence})"
+    if budget is None or not names:
+        return ("prior",), ""
+    shares = {one: budget.share(one, index) for one in names if one != "prior"} or {
+        "prior": budget.share("prior", index)
+    }
+    near = [one for one, share in shares.items() if share > _NEAR * max(shares.values())][:2]
+    words = (
+        f"{100.0 * shares[one]:.0f} % of the variance: {SOURCES[one].sentence}" for one in near
+    )
+    return near, f" ({'; '.join(words)})"
