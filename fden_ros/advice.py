@@ -33,7 +33,8 @@ FLAGS = _table("""
 IMPLAUSIBLE | strain, force, rate or a size is impossible | check the units
 GEOMETRY_UNSTATED | the geometry is not stated, so the numbers are those of a default probe
   | state probe and tissue (geometry) to get G and Gn
-TOUCH_NOT_OBSERVED | the touch was not observed: the recording lacks it, or noise and drift hide it
+TOUCH_NOT_OBSERVED | the touch was not observed: the recording lacks it, or noise, drift or
+  friction hides it
   | begin with 2 s in the air, and touch within 5 s or with a larger face, to get G and Gn
 ESTIMATION_FAILED | the computation failed at this site: there is no estimate until the next site
   | report it, with the traceback of the log

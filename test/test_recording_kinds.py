@@ -264,7 +264,7 @@ def test_a_specimen_states_that_a_table_begins_at_the_touch_and_what_looks_so_is
     source = open_source(path, check({}))
     assert (source.parameters.core.contact_point is not None) is is_touched
     assert source.parameters.core.contact.measure_bias is not is_touched
-    assert ("then give --from-touch" in " ".join(source.warnings)) is is_asked
+    assert ("give --from-touch" in " ".join(source.warnings)) is is_asked
     # An option outdoes it, and a configured origin is left alone.
     for from_touch in (False, True):
         stated = open_source(path, check({}), Selection(from_touch=from_touch))

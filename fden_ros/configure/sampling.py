@@ -243,7 +243,8 @@ def lift_off_finding(sessions: Sequence[Session]) -> Finding:
             "wherever the probe travels"
         )
         motion = (
-            "begin with 2 s in the air, and lift off by 3 mm after each press; or write "
+            "begin with 2 s in the air, and lift off by 3 mm after each press; free the tool of "
+            "friction, cables and drapes; or write "
             f"{REMEDY} for the stiffness in N/m where it palpates without lifting"
         )
         return Finding("lift-off", "never", None, evidence, motion)

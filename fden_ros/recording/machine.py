@@ -69,8 +69,9 @@ def machine_values(
         why = "by --from-touch" if from_touch else "because of the specimen before the headings"
         return {**values, **touched}, (*lines, f"{_shown(touched)}, {why}"), ()
     question = (
-        f"{table.path.name} may begin at the touch, without air: then give --from-touch, "
-        "otherwise --no-from-touch"
+        f"the force in {table.path.name} changes as soon as the probe moves: if it begins at the "
+        "touch, give --from-touch; if friction, a cable or a drape pulls on the tool, free it; "
+        "otherwise give --no-from-touch"
     )
     return values, tuple(lines), (question,) if may_begin else ()
 
