@@ -239,9 +239,16 @@ def clipped(seed: int, part: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @pytest.mark.parametrize("count", counts(8, 200))
-@pytest.mark.parametrize("part", [1.0, 0.6, 0.75])
-def test_a_force_whose_envelope_stands_still_while_the_probe_goes_on_is_saturated(part, count):
-    found = [after(*clipped(seed, part)) for seed in range(count)]
+@pytest.mark.parametrize(("part", "size"), [(1.0, 1.0), (0.6, 1.0), (0.75, 1.0), (1.0, 1e-4)])
+def test_a_force_whose_envelope_stands_still_while_the_probe_goes_on_is_saturated(
+    part, size, count
+):
+    """Of an atomic force microscope's bead too, on the way of a micrometre."""
+    found = []
+    for seed in range(count):
+        times, forces, places = clipped(seed, part)
+        probe = {"geometry__thickness": 0.02 * size, "force__noise_floor": 1e-5 * size**2}
+        found.append(after(times, size**2 * forces, size * places, **probe))
     is_cut_off = [measured.is_saturated for measured in found]
     assert np.mean(is_cut_off) >= 0.9 if part < 1.0 else not any(is_cut_off)
     assert all(one.of(1) == NOT_MEASURED for one in found if one.is_saturated)

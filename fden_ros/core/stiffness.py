@@ -207,9 +207,10 @@ def _fitted(columns: Array, design: Array) -> tuple[Array, float]:
 def _line(columns: Array) -> tuple[float, float]:
     """Return the slope of a line through pieces and its standard error [N/m]."""
     way = columns[3] - columns[3].mean()
-    matrix, variance = _fitted(columns, np.stack([np.ones_like(way), way], axis=1))
+    width = float(np.ptp(way))
+    matrix, variance = _fitted(columns, np.stack([np.ones_like(way), way / width], axis=1))
     error = math.sqrt(variance * float(matrix[1] ** 2 @ columns[7]))
-    return float(matrix[1] @ columns[6]), error
+    return float(matrix[1] @ columns[6]) / width, error / width
 
 
 def _accelerations(columns: Array) -> Array:
