@@ -100,11 +100,11 @@ BROKEN = """
 from fden_ros.core.estimation import GridEstimator
 real, seen = GridEstimator.add, []
 
-def add(self, *block):
+def add(self, *block, **options):
     seen.append(self)
     if self is seen[0] and len(seen) > 20:
         raise ZeroDivisionError("on purpose")
-    return real(self, *block)
+    return real(self, *block, **options)
 
 GridEstimator.add = add
 """
