@@ -51,7 +51,8 @@ RIG_PRIOR_CONFLICT | delay, friction, compliance or play is more than 2.5 standa
 FORCE_DRIFTED | the force in the air after the contact differs from the force before it, so the
   standard deviations are widened | tare, let the sensor warm up, or state force.drift_sd
 SATURATED | the force was at its limit: stuck, beyond force.limit, or constant while the probe
-  moved on | press less, or raise force.limit if the sensor's limit is higher
+  moved on | press less, or raise force.limit if the sensor's limit is higher; if the tissue
+  gave way, as with a heartbeat, press again
 GAP | samples of this site are missing
   | make the link reliable, and touch elsewhere or let the tissue rest
 """)
@@ -99,8 +100,9 @@ both signs | the force fell below its value in the air, and the displacement fal
   | change both signs (force.axis and displacement.axis, or their .inverted), or begin in the air
 force sign | the force fell below its value in the air
   | change its sign (force.axis, force.inverted), or begin in the air
-touch | the force fell below its value in the air: a faint touch was mistaken for the air
-  | touch faster, or begin in the air
+touch | the force fell below its value in the air: a faint touch was mistaken for the air, or the
+  sensor loses a constant force (piezo), so slopes are too low
+  | touch faster, begin in the air, or use a sensor that holds a constant force
 drift | the force drifts in the air | tare, or let the sensor warm up
 rise | the force rises without a touch | begin in the air (a testing machine's table:
   --from-touch), or, if it drifts, tare and let the sensor warm up

@@ -183,6 +183,14 @@ TABLES: dict[str, Table] = {
     "commanded alone": Table(
         "time_s,force_N,depth_desired_mm\n" + PLAIN, warned="is commanded, not measured"
     ),
+    "magnitude alone": Table(
+        "time_s,force_magnitude_N,depth_mm\n" + PLAIN, warned="is a magnitude, as its heading says"
+    ),
+    "magnitude between bars": Table(
+        "time_s,|F| [N],depth_mm\n" + PLAIN,
+        "time_s,|F| [N],depth_mm",
+        warned="is a magnitude, as its heading says",
+    ),
     # Columns that are given, below any preamble
     "names": Table(PREAMBLE + "a,b,c\n" + PLAIN, "a,b,c*1e-3"),
     "numbers": Table(PREAMBLE + NEWTONS + PLAIN, "1,2,3"),

@@ -122,7 +122,8 @@ class ContactSession:
             "the force's noise in the air is smooth over some "
             f"{written(1e3 * self._filter_time, 2)} ms, as after a filter, which "
             + (
-                "is too slow for G, Gn and N/m (switch it off, or read the force before it)"
+                "is too slow for G, Gn and N/m and makes slopes too low (switch it off, or read "
+                "the force before it)"
                 if self._filter_time > LONGEST_FILTER
                 else "delays the force (measure the delay with fden configure and state "
                 "displacement.delay, or weaken the filter)"

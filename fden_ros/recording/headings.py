@@ -73,6 +73,8 @@ COMMANDED = {
     "setpoint", "goal", "command", "commanded", "desired", "target", "reference", "servo", "cmd",
     "demand", "nominal", "planned", "set", "ref", "wanted", "soll",
 }  # fmt: skip
+#: Words of the size of a vector, which other directions and a bias enter.
+_MAGNITUDES = {"magnitude", "mag", "norm", "resultant", "abs"}
 #: German compounds begin so: Istkraft, Sollweg.
 _GERMAN = re.compile(r"(ist|soll)(?:\w*(?:kraft|weg)|position|wert|last)")
 #: A heading with one of these is a field of a message, in SI units.
@@ -144,6 +146,11 @@ class Heading:
     def _is_of_a_message(self, quantity: str) -> bool:
         path = re.split(r"[/.]", self.text.lower())
         return quantity != "time" and len(path) > 2 and any(p.startswith(_FIELDS) for p in path)
+
+    @property
+    def is_magnitude(self) -> bool:
+        """Whether it is the size of a vector by its words, or between bars."""
+        return bool(set(self.words) & _MAGNITUDES) or self.text.strip().startswith("|")
 
     @property
     def rank(self) -> int:

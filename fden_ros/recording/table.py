@@ -235,7 +235,11 @@ class TableReader:
         if self.stamps.size and self.stamps[0] <= 0:
             # 0 stands for "no stamp" everywhere in ROS.
             self.stamps += _NS - self.stamps[0]
-        self.warnings = (*self._commanded(), *([left_out] if left_out else []), *self._gaps())
+        self.warnings = (
+            *self._other_by_heading(),
+            *([left_out] if left_out else []),
+            *self._gaps(),
+        )
 
     def named(self, column: Column) -> str:
         """Return a column in words: with the heading of a number, the unit below it, its sign."""
@@ -277,11 +281,18 @@ class TableReader:
         stated = (self.layout.headings[index].factor(kind) for kind in kinds)
         return next((factor for factor in stated if factor is not None), 1.0)
 
-    def _commanded(self) -> Iterator[str]:
+    def _other_by_heading(self) -> Iterator[str]:
         for column in (self.columns.force, self.columns.displacement):
-            rank = self.layout.headings[self._index(column.name)].rank
-            if not column.name.isdigit() and not rank:
+            heading = self.layout.headings[self._index(column.name)]
+            if column.name.isdigit():
+                continue
+            if not heading.rank:
                 yield f"{self.named(column)} is commanded, not measured, as its heading says"
+            if heading.is_magnitude and column is self.columns.force:
+                yield (
+                    f"{self.named(column)} is a magnitude, as its heading says: a bias or a force "
+                    "aside makes G and N/m wrong; record the force along the axis"
+                )
 
     def _gaps(self) -> Iterator[str]:
         """Warn about gaps of the rows; of repeated values the force keeps the first."""
