@@ -199,9 +199,21 @@ class GridEstimator(Estimator):
         due = [place for place in places if not place.gate.is_beyond]
         if due:
             min(due, key=lambda place: place.laid_at).lay()
-        elif not self.best.ask():
+        elif not self._ask():
             return False
         self._note_odds()
+        return True
+
+    def _ask(self) -> bool:
+        """Lay a round of another grid of the likeliest place; False: none is due.
+
+        Another mode of the posterior is one hypothesis more, until its odds are too low.
+        """
+        best = max(self._hypotheses, key=lambda one: one.log_weight)
+        if not best.place.ask():
+            return False
+        if (place := best.place.branched()) is not None:
+            self._hypotheses.append(replace(best, place=place, grid=None))
         return True
 
     def _drop(self) -> list[_Hypothesis]:

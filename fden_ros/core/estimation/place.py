@@ -112,6 +112,7 @@ class PlacePosterior:
         self._start: Start | None = None  #: of the next round of a grid from nothing
         #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
         self._agrees_until = -math.inf
+        self._elsewhere: Grid | None = None  #: from nothing, settled at another mode
         self._rival = Rival()
         self._law_error: tuple[Grid, LawError | None] | None = None  #: and the grid that it is of
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
@@ -189,7 +190,7 @@ class PlacePosterior:
         self._newest = self._waiting = None
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
-        self.gate, self._start = ChangeGate(), None
+        self.gate, self._start, self._elsewhere = ChangeGate(), None, None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> bool:
         """Take a sample; return whether it completes a block."""
@@ -373,7 +374,7 @@ class PlacePosterior:
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def _lay_afresh(self, start: Start) -> None:
-        """Lay one round of a grid from nothing, of the record of the newest grid; take a likelier.
+        """Lay one round of a grid from nothing, of the record of the newest grid.
 
         The record may be longer than that of the round before.
         """
@@ -385,10 +386,25 @@ class PlacePosterior:
         if leads_to(grid, own):
             self._start = None
         elif grid.is_settled:
-            self._start = None
-            if _likelier(own, grid) is grid:
-                self._take(grid)
-                self.lay()
+            self._start, self._elsewhere = None, grid
+
+    def branched(self) -> PlacePosterior | None:
+        """Return the place at another mode of its posterior; None: none has been found.
+
+        It is found once: evidences tell the two from now on.
+        """
+        grid, self._elsewhere = self._elsewhere, None
+        if grid is None:
+            return None
+        found = copy.copy(self)
+        found._ended, found._rival = list(self._ended), copy.copy(self._rival)
+        found.gate, found._record = copy.copy(self.gate), copy.deepcopy(self._record)
+        found._tails = list(self._tails)
+        found._take(grid)
+        assert found.filter is not None
+        for tail in found._tails:
+            found.filter.append(tail)
+        return found
 
     def release(self) -> Iterator[None]:
         """End the press: rounds until the grid is settled, one at a time."""
