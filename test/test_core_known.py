@@ -281,7 +281,7 @@ def test_a_brief_jerk_of_the_force_is_no_change(seconds, is_changed):
 
 
 def test_nothing_is_known_once_the_tissue_has_changed():
-    outputs = changed_press("flat_500", 2, SLIDE)[1]
+    outputs = changed_press("flat_500", 1, SLIDE)[1]
     states = states_of(outputs)
     changed = [bool(state.flags & Flag.TISSUE_CHANGED) for state in states]
     first = changed.index(True)

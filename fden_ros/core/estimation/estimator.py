@@ -368,7 +368,8 @@ class GridEstimator(Estimator):
         is_contradicted = _contradicts_order(config.prior, place.law_error(posterior))
         claims = claims_of(
             config, mean[:3], sds[:3], beyond,
-            is_solved=place.is_settled, is_order_contradicted=is_contradicted,
+            is_solved=place.is_settled and place.has_searched,
+            is_order_contradicted=is_contradicted,
         )  # fmt: skip
         return _Part(weight, one, posterior, mean, covariance, claims, beyond, is_contradicted)
 
@@ -401,6 +402,7 @@ class GridEstimator(Estimator):
             at_edge |= part.claims.at_edge
         known &= converged(config, sds[:3], observable)
         is_settled = all(one.place.is_settled for one in self._possible(_ODDS))
+        is_settled = is_settled and all(part.hypothesis.place.has_searched for part in parts)
         if not is_settled or self.is_changed:
             known = ParameterSet.NONE
         best = max(parts, key=lambda part: part.weight)

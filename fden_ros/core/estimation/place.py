@@ -61,6 +61,8 @@ _LAST_ROUNDS = 12
 #: last [1], and by the second at its end: scales that were small are left only where the columns
 #: are those of larger ones, and the log evidence was up to 15 lower.
 _AFRESH, _AFRESH_END = 2.0, 1.4
+#: That time in a first press [s].
+_FIRST_AFRESH = 0.1
 #: Standard deviation of ln N/m for a relaxation that has not been seen, over the stated
 #: discrepancy of the law [1]: on a ramp only the curve is.
 _UNSEEN = 0.5
@@ -113,6 +115,9 @@ class PlacePosterior:
         #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
         self._agrees_until = -math.inf
         self._elsewhere: Grid | None = None  #: from nothing, settled at another mode
+        #: A grid from nothing has settled, or was given up: two modes may explain the beginning of
+        #: a first press alike.
+        self.has_searched = False
         self._rival = Rival()
         self._law_error: tuple[Grid, LawError | None] | None = None  #: and the grid that it is of
         self._spots: dict[int, tuple[Nuisance, ...]] = {}
@@ -360,7 +365,8 @@ class PlacePosterior:
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
         self._take(laid(law, noise, start))
         elapsed = self.now - self._began
-        if self.has_slowed and elapsed > _AFRESH * self._afresh_at:
+        may_search = self.has_slowed or (not self._ended and elapsed > _AFRESH * _FIRST_AFRESH)
+        if may_search and elapsed > _AFRESH * self._afresh_at:
             self._afresh_at, self._start = elapsed, begun(law, noise)
 
     def _take(self, grid: Grid) -> None:
@@ -383,6 +389,7 @@ class PlacePosterior:
         about = own.law.stressed(start.about)
         grid = laid(own.law, own.noise, start._replace(about=about))
         self._start = grid.after if grid.after.rounds < _LAST_ROUNDS else None
+        self.has_searched |= self._start is None or grid.is_settled or leads_to(grid, own)
         if leads_to(grid, own):
             self._start = None
         elif grid.is_settled:
@@ -423,6 +430,7 @@ class PlacePosterior:
                     likelier = _likelier(own, afresh)
                     yield
                 self._take(likelier)
+            self.has_searched = True
             for _ in range(_LAST_ROUNDS):
                 if self.filter.grid.is_settled:
                     break
