@@ -380,7 +380,7 @@ class PlacePosterior:
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
     def _lay_afresh(self, start: Start) -> None:
-        """Lay one round of a grid from nothing, of the record of the newest grid.
+        """Lay one round of a grid from nothing, of the record of the newest grid; take a likelier.
 
         The record may be longer than that of the round before.
         """
@@ -393,10 +393,15 @@ class PlacePosterior:
         if leads_to(grid, own):
             self._start = None
         elif grid.is_settled:
-            self._start, self._elsewhere = None, grid
+            self._start = None
+            if _likelier(own, grid) is grid:
+                self._take(grid)
+                self.lay()
+            else:
+                self._elsewhere = grid
 
     def branched(self) -> PlacePosterior | None:
-        """Return the place at another mode of its posterior; None: none has been found.
+        """Return the place at a less likely mode of its posterior; None: none has been found.
 
         It is found once: evidences tell the two from now on.
         """
