@@ -55,7 +55,7 @@ class TissueFeed(LiveTissue):
         The identifier's parameter file: predictions need the geometry, and their sd includes what
         is not known of tissue and rig.
     geometry : Geometry or None
-        The geometry itself, instead of a file; the defaults then state what is not known.
+        The geometry itself, instead of a file; the rig's sds are then the defaults.
     deadline : float
         An estimate older than this is refused [s]; at least 0.05.
     real_time : bool

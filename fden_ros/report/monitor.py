@@ -89,7 +89,7 @@ def next_step(view: MonitorView) -> str:
         return problem or said["message"]
     if said["contacts"] == "0":
         return "hold the probe in the air for 2 s, then press"
-    return said.get("last contact") or "nothing: all is well"
+    return said.get("last contact") or "nothing: it identifies"
 
 
 def _present(view: MonitorView) -> Table:

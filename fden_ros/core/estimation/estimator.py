@@ -179,12 +179,15 @@ class GridEstimator(Estimator):
         waiting = [one for one in self._hypotheses if one.place.is_waiting]
         if not waiting:
             return False
-        for one in self._hypotheses:
-            one.held = one.log_weight
+        self._hold()
         waiting[0].place.gather()
         if len(waiting) == 1:
             self._compare()
         return True
+
+    def _hold(self) -> None:
+        for one in self._hypotheses:
+            one.held = one.log_weight
 
     def _compare(self) -> None:
         for one in self._hypotheses:
@@ -209,7 +212,7 @@ class GridEstimator(Estimator):
 
         Another mode of the posterior is one hypothesis more, until its odds are too low.
         """
-        best = max(self._hypotheses, key=lambda one: one.log_weight)
+        best = self._best
         if not best.place.ask():
             return False
         if (place := best.place.branched()) is not None:
@@ -218,8 +221,7 @@ class GridEstimator(Estimator):
 
     def _drop(self) -> list[_Hypothesis]:
         """Drop places that are far less likely; return those to be weighed anew before."""
-        best = max(self._hypotheses, key=lambda one: one.log_weight)
-        possible = self._possible(_FAR)
+        best, possible = self._best, self._possible(_FAR)
         unlikely = [one for one in self._hypotheses if one not in possible]
         stale = [
             one
@@ -251,8 +253,7 @@ class GridEstimator(Estimator):
 
     def _last_rounds(self) -> Iterator[None]:
         self.work()
-        for one in self._hypotheses:
-            one.held = one.log_weight
+        self._hold()
         for one in self._hypotheses:
             yield from one.place.release()
         self._compare()
@@ -285,7 +286,11 @@ class GridEstimator(Estimator):
     @property
     def best(self) -> PlacePosterior:
         """The likeliest place."""
-        return max(self._hypotheses, key=lambda one: one.log_weight).place
+        return self._best.place
+
+    @property
+    def _best(self) -> _Hypothesis:
+        return max(self._hypotheses, key=lambda one: one.log_weight)
 
     @property
     def innovation(self) -> Innovation | None:  # type: ignore[override]

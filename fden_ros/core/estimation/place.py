@@ -149,11 +149,15 @@ class PlacePosterior:
         `contact_point_sd`: it may be of another spot of this tissue, whose contact point has this
         standard deviation [1]; None: of the same spot.
         """
-        found = copy.copy(self)
-        found._ended, found._rival = list(self._ended), copy.copy(self._rival)
+        found = self._copied()
         if contact_point_sd is not None:
             found._spot = max([*self._spots, 0]) + 1
             found._spots = self._spots | {found._spot: spot_of(contact_point_sd)}
+        return found
+
+    def _copied(self) -> PlacePosterior:
+        found = copy.copy(self)
+        found._ended, found._rival = list(self._ended), copy.copy(self._rival)
         return found
 
     @property
@@ -336,8 +340,7 @@ class PlacePosterior:
 
     def gather(self) -> None:
         """Lay one round of the blocks that have waited, gathered, and follow those since."""
-        if self._waiting is None:
-            return
+        assert self._waiting is not None
         (blocks, since), self._waiting = self._waiting, None
         self._lay_gathered(blocks)
         for block in since:
@@ -388,17 +391,17 @@ class PlacePosterior:
         own = self.filter.grid
         about = own.law.stressed(start.about)
         grid = laid(own.law, own.noise, start._replace(about=about))
-        self._start = grid.after if grid.after.rounds < _LAST_ROUNDS else None
-        self.has_searched |= self._start is None or grid.is_settled or leads_to(grid, own)
-        if leads_to(grid, own):
-            self._start = None
-        elif grid.is_settled:
-            self._start = None
-            if _likelier(own, grid) is grid:
-                self._take(grid)
-                self.lay()
-            else:
-                self._elsewhere = grid
+        is_near = leads_to(grid, own)
+        has_ended = is_near or grid.is_settled or grid.after.rounds >= _LAST_ROUNDS
+        self._start = None if has_ended else grid.after
+        self.has_searched |= has_ended
+        if is_near or not grid.is_settled:
+            return
+        if _likelier(own, grid) is grid:
+            self._take(grid)
+            self.lay()
+        else:
+            self._elsewhere = grid
 
     def branched(self) -> PlacePosterior | None:
         """Return the place at a less likely mode of its posterior; None: none has been found.
@@ -408,8 +411,7 @@ class PlacePosterior:
         grid, self._elsewhere = self._elsewhere, None
         if grid is None:
             return None
-        found = copy.copy(self)
-        found._ended, found._rival = list(self._ended), copy.copy(self._rival)
+        found = self._copied()
         found.gate, found._record = copy.copy(self.gate), copy.deepcopy(self._record)
         found._tails = list(self._tails)
         found._take(grid)
