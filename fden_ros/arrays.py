@@ -220,17 +220,14 @@ def fit(
     times, forces, displacements = _arrays(time=time, force=force, displacement=displacement)
     checked = check(_flat({"geometry": dict(geometry or {}), **parameters}))
     stamps = np.rint(_NS * times).astype(np.int64)
-    # 0 stands for "no stamp".
-    shift = int(_NS) - int(stamps[0]) if stamps[0] <= 0 else 0
     inputs = {name: f"array {name}" for name in ("force", "displacement")}
-    columns = stamps + shift, forces, displacements
-    found = replay_source(RowSource(columns, checked, inputs))
+    found = replay_source(RowSource((stamps, forces, displacements), checked, inputs))
     geometry_used = pipeline_config(checked).geometry
     contacts = []
     for one in found.summaries:
-        own = (stamps + shift >= one.start_ns) & (stamps + shift <= one.end_ns)
-        start, end = ((ns - shift) / _NS for ns in (one.start_ns, one.end_ns))
+        own = (stamps >= one.start_ns) & (stamps <= one.end_ns)
         samples = times[own], forces[own], displacements[own]
+        start, end = one.start_ns / _NS, one.end_ns / _NS
         contacts.append(FittedContact(start, end, one, samples, geometry_used))
     return Fit(tuple(contacts), found.warnings)
 

@@ -18,7 +18,7 @@ import pytest
 
 import fden_ros
 from fden_ros.errors import InputError
-from fden_ros.offline.replay import replay
+from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import read_parameter_file
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
@@ -49,6 +49,16 @@ def test_arrays_give_what_a_replay_gives_to_the_last_bit():
         assert contact.alpha == (estimate.fractional_order, estimate.fractional_order_sd)
         assert contact.stiffness == (stiffness.value, stiffness.sd)
         assert np.array_equal(contact.covariance, estimate.covariance)
+
+
+def test_arrays_and_a_table_from_0_s_on_keep_their_times():
+    replayed = replay(EXAMPLES / "press.csv", read_parameter_file(EXAMPLES / "probe.yaml"))
+    for contact, written in zip(
+        fitted().contacts, result_object(replayed)["contacts"], strict=True
+    ):
+        ends = contact.samples[0][0], contact.samples[0][-1]
+        assert (contact.start, contact.end) == ends
+        assert (1e-9 * written["start_ns"], 1e-9 * written["end_ns"]) == pytest.approx(ends)
 
 
 def test_threads_of_the_linear_algebra_change_no_bit():

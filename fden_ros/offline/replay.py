@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class Replay:
     samples: int  #: pairs of force and displacement that went through the pipeline
     rejected: dict[str, int]
     warnings: tuple[str, ...]
-    summaries: tuple[ContactSummary, ...]
+    summaries: tuple[ContactSummary, ...]  #: in the recording's own times
     inputs: dict[str, str]  #: topic or column of ``force`` and ``displacement``
     parameters: Parameters  #: as given, with the recording's own values
     set_by_recording: tuple[str, ...] = ()  #: those values, a line each
@@ -150,7 +150,7 @@ def replay_source(
         samples=pipeline.pair_count,
         rejected=dict(sorted(pipeline.rejected.items())),
         warnings=(*source.warnings, *_warnings(pipeline, summaries)),
-        summaries=tuple(summaries),
+        summaries=tuple(_moved(summary, -source.shift_ns) for summary in summaries),
         inputs=source.inputs,
         parameters=source.parameters,
         set_by_recording=source.set_by_recording,
@@ -159,6 +159,11 @@ def replay_source(
         never_lifts=pipeline.never_lifts,
         is_air_doubted=pipeline.is_air_doubted,
     )
+
+
+def _moved(summary: ContactSummary, by_ns: int) -> ContactSummary:
+    times = {name: getattr(summary, name) + by_ns for name in ("stamp_ns", "start_ns", "end_ns")}
+    return replace(summary, **times)
 
 
 def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 from fden_ros.core.arrays import Array
 from fden_ros.core.pipeline import Pipeline
+from fden_ros.core.streams import NANOSECONDS
 from fden_ros.errors import InputError
 from fden_ros.inputs import (
     DAMAGED,
@@ -131,6 +132,7 @@ class BagSource:
     """
 
     set_by_recording: tuple[str, ...] = ()
+    shift_ns = 0
 
     def __init__(self, path: str | Path, parameters: Parameters, selection: Selection) -> None:
         self.reader = BagReader(path)
@@ -321,6 +323,12 @@ class RowSource:
     displacement_frame: str = ""
 
     @property
+    def shift_ns(self) -> int:
+        """What :meth:`feed` adds to the stamps: 0 stands for "no stamp" everywhere in ROS [ns]."""
+        stamps = self.columns[0]
+        return NANOSECONDS - int(stamps[0]) if stamps.size and stamps[0] <= 0 else 0
+
+    @property
     def total(self) -> int:
         """Rows."""
         return int(self.columns[0].size)
@@ -330,7 +338,8 @@ class RowSource:
     ) -> Iterator[int]:
         """Feed the rows in their order."""
         inputs = inputs_of(self.parameters, sink)
-        rows = zip(*(column.tolist() for column in self.columns), strict=True)
+        stamps, *values = self.columns
+        rows = zip(*(column.tolist() for column in (stamps + self.shift_ns, *values)), strict=True)
         for done, (stamp, force, displacement) in enumerate(rows, start=1):
             before(stamp, None)
             if not math.isnan(displacement):

@@ -196,7 +196,7 @@ class TableReader:
     Attributes
     ----------
     stamps : array of int64
-        Of the rows [ns], shape (n,); from 1 s on where the table's begin below 0.
+        Of the rows [ns], shape (n,).
     force, displacement : Array
         [N], [m], shape (n,); NaN where a row has none.
     warnings : tuple of str
@@ -232,9 +232,6 @@ class TableReader:
             self.stamps = self.layout.times_of_day(clock, lines)
         else:
             self.stamps = self._numbered(columns.time, values[:, 2], lines)
-        if self.stamps.size and self.stamps[0] <= 0:
-            # 0 stands for "no stamp" everywhere in ROS.
-            self.stamps += _NS - self.stamps[0]
         self.warnings = (
             *self._other_by_heading(),
             *([left_out] if left_out else []),

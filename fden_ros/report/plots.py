@@ -32,7 +32,7 @@ _PARAMETERS = (("linear_stiffness", "G [Pa s^α]"), ("nonlinear_stiffness", "Gn"
 def overview(session: Session) -> str:
     """Force and displacement over the whole recording, contacts shaded and numbered."""
     time, ends = session.trace.arrays()
-    summaries = session.replay.summaries
+    summaries = [one.summary for one in session.contacts if one.summary is not None]
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(2, 1, sharex=True)
