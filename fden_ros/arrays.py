@@ -20,6 +20,7 @@ from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay_source
 from fden_ros.parameters import check, pipeline_config
 from fden_ros.recording.source import RowSource
+from fden_ros.report.numbers import stiffness
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +39,7 @@ class Number(NamedTuple):
 _UNKNOWN = Number(math.nan, math.nan)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedContact:
     """One contact of the probe with the tissue.
 
@@ -57,6 +58,11 @@ class FittedContact:
     summary: ContactSummary
     samples: tuple[Array, Array, Array]
     geometry: Geometry
+
+    def __repr__(self) -> str:
+        flags = "".join(f", {name}" for name in self.flags)
+        words = f"{self._stiffness_words}{'' if self.converged else ', not converged'}{flags}"
+        return f"contact {self.summary.contact_id} at {self.start:.6g} s: {words}"
 
     @property
     def converged(self) -> bool:
@@ -134,10 +140,13 @@ class FittedContact:
             axes = pyplot.figure().subplots()
         _, force, displacement = self.samples
         axes.plot(1e3 * displacement, force)
-        value, sd = self.stiffness
-        axes.set(xlabel="displacement [mm]", ylabel="force [N]")
-        axes.set_title(f"{value:.3g} ± {sd:.2g} N/m" if value == value else "N/m not known")
+        axes.set(xlabel="displacement [mm]", ylabel="force [N]", title=self._stiffness_words)
         return axes
+
+    @property
+    def _stiffness_words(self) -> str:
+        found = self.summary.apparent_stiffness
+        return f"{stiffness(found)} N/m" if found is not None else "N/m not known"
 
     def _parameter(self, index: StateIndex, name: str) -> Number:
         estimate = self.summary.estimate
@@ -146,12 +155,16 @@ class FittedContact:
         return Number(getattr(estimate, name), getattr(estimate, f"{name}_sd"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """What :func:`fit` has found: the contacts in order of time, and warnings in words."""
 
     contacts: tuple[FittedContact, ...]
     warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        counts = f"contacts: {len(self.contacts)}, warnings: {len(self.warnings)}"
+        return "\n".join([counts, *map(repr, self.contacts)])
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas table with one row per contact: each number and its sd."""

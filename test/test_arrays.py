@@ -11,15 +11,18 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fden_ros
+from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay, result_object
 from fden_ros.parameters import read_parameter_file
+from fden_ros.report.numbers import plus_minus
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
 
@@ -94,6 +97,16 @@ def test_what_is_not_known_is_nan():
     assert not contact.converged and math.isnan(contact.G.value)
     assert "GEOMETRY_UNSTATED" in contact.flags
     assert np.isnan(contact.predict([0.0, 1.0], [0.0, 0.001])).all()
+
+
+def test_a_fit_is_printed_in_one_line_a_contact_with_stiffness_and_flags():
+    first = fitted().contacts[0]
+    shown = f"contact 1 at {first.start:g} s: {plus_minus(*first.stiffness)} N/m"
+    assert repr(fitted()).splitlines()[:2] == ["contacts: 2, warnings: 0", shown]
+    assert len(repr(fitted()).splitlines()) == 3
+    summary = replace(first.summary, apparent_stiffness=None, flags=Flag.GAP, converged=False)
+    unknown = repr(replace(first, summary=summary))
+    assert unknown.endswith(" s: N/m not known, not converged, GAP")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")

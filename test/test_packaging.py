@@ -224,7 +224,7 @@ ROOMS = [
     "core.air_after", "core.report", "core.site_contact", "core.sites", "core.strokes",
     "core.contact_session", "core.continuous_session", "core.input_warnings", "core.pipeline",
     "core", "simulation", "tissues", "message_kinds", "parameters", "inputs", "recording", "ros",
-    "experiments", "control", "tissue_feed", "offline", "arrays", "configure", "report", "nodes",
+    "experiments", "control", "tissue_feed", "offline", "configure", "report", "arrays", "nodes",
     "commands", "cli",
 ]  # fmt: skip
 
