@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -171,7 +172,10 @@ class Fit:
         try:
             import pandas  # type: ignore[import-not-found,import-untyped,unused-ignore]
         except ImportError:
-            raise InputError("to_dataframe needs pandas: pip install pandas") from None
+            raise InputError(
+                f"to_dataframe needs pandas: {sys.executable} -m pip install pandas, or "
+                "apt install python3-pandas"
+            ) from None
         rows = []
         for one in self.contacts:
             row: dict[str, object] = {"start": one.start, "end": one.end}

@@ -109,6 +109,12 @@ def test_a_fit_is_printed_in_one_line_a_contact_with_stiffness_and_flags():
     assert unknown.endswith(" s: N/m not known, not converged, GAP")
 
 
+def test_without_pandas_one_line_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=f"pandas: {sys.executable} -m pip install pandas"):
+        fitted().to_dataframe()
+
+
 @pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")
 def test_a_table_has_a_row_a_contact():
     table = fitted().to_dataframe()
