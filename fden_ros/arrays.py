@@ -235,7 +235,7 @@ def fit(
     2
     """
     times, forces, displacements = _arrays(time=time, force=force, displacement=displacement)
-    checked = check(_flat({"geometry": dict(geometry or {}), **parameters}))
+    checked = check({"geometry": {} if geometry is None else geometry, **parameters})
     stamps = np.rint(_NS * times).astype(np.int64)
     inputs = {name: f"array {name}" for name in ("force", "displacement")}
     found = replay_source(RowSource((stamps, forces, displacements), checked, inputs))
@@ -270,15 +270,4 @@ def _arrays(**given: Any) -> list[Array]:
         found.append(array)
     if (back := np.flatnonzero(np.diff(found[0]) <= 0.0)).size:
         raise InputError(f"time does not increase at sample {back[0] + 1}: sort and drop repeats")
-    return found
-
-
-def _flat(groups: Mapping[str, object]) -> dict[str, object]:
-    """Return parameters by their dotted names."""
-    found: dict[str, object] = {}
-    for name, value in groups.items():
-        if isinstance(value, Mapping):
-            found |= {f"{name}.{own}": one for own, one in _flat(value).items()}
-        else:
-            found[name] = value
     return found

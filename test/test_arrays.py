@@ -16,12 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import fden_ros
 from fden_ros.core.outputs import Flag
 from fden_ros.errors import InputError
 from fden_ros.offline.replay import replay, result_object
-from fden_ros.parameters import read_parameter_file
+from fden_ros.parameters import check, read_parameter_file
 from fden_ros.report.numbers import plus_minus
 from fden_ros.simulation import FdenModel
 from simulation.closed_form import moves_of_knots, stress_of_moves
@@ -120,6 +121,23 @@ def test_a_table_has_a_row_a_contact():
     table = fitted().to_dataframe()
     assert table["G"].tolist() == [contact.G.value for contact in fitted().contacts]
     assert table["converged"].all()
+
+
+@pytest.mark.parametrize(
+    "geometry", ["sphere", {"kind": "cube"}, {"kind": "sphere"}, {"radios": 0.005}]
+)
+def test_a_geometry_that_cannot_be_used_gets_one_sentence_everywhere(geometry, tmp_path):
+    path, said = tmp_path / "probe.yaml", set()
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"geometry": geometry}}}))
+    for use in (
+        lambda: fden_ros.fit(*example(), geometry=geometry),
+        lambda: check({"geometry": geometry}),
+        lambda: read_parameter_file(path),
+    ):
+        with pytest.raises(InputError) as error:
+            use()
+        said.add(str(error.value).removeprefix(f"{path}: "))
+    assert len(said) == 1 and "\n" not in said.pop()
 
 
 @pytest.mark.parametrize(

@@ -216,8 +216,19 @@ _NODE_BY_NAME = {parameter.name: parameter for parameter in NODE_PARAMETERS}
 
 
 def check(values: Mapping[str, object]) -> Parameters:
-    """Return all parameters: `values` checked, the others at their defaults."""
-    return Parameters().changed(values)
+    """Return all parameters: `values`, by name or by group, checked, the others at defaults."""
+    return Parameters().changed(_flat(values))
+
+
+def _flat(groups: Mapping[str, object]) -> dict[str, object]:
+    """Return parameters by their dotted names."""
+    found: dict[str, object] = {}
+    for name, value in groups.items():
+        if isinstance(value, Mapping):
+            found |= {f"{name}.{own}": one for own, one in _flat(value).items()}
+        else:
+            found[name] = value
+    return found
 
 
 def parameter_named(name: str) -> Parameter:
@@ -226,7 +237,9 @@ def parameter_named(name: str) -> Parameter:
         return _BY_NAME[name]
     near = difflib.get_close_matches(name, [*_BY_NAME, *_NODE_BY_NAME], n=1, cutoff=0.4)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise InputError(f"there is no parameter {name}{hint}")
+    is_group = any(one.startswith(f"{name}.") for one in _BY_NAME)
+    words = f"{name} is a group of parameters" if is_group else f"there is no parameter {name}"
+    raise InputError(f"{words}{hint}")
 
 
 def identifier_values(values: Mapping[str, object]) -> dict[str, object]:
