@@ -52,6 +52,9 @@ def test_damaged_messages_are_counted_and_the_others_used(capsys, tmp_path):
     result = answer(capsys, "replay", tmp_path / "bag", "--config", PRESS / "identifier.yaml")
     damaged = {k: n for k, n in result["rejected"].items() if k.endswith(".damaged")}
     assert sum(damaged.values()) == 3
+    counts = ", ".join(f"{reason} {n}" for reason, n in result["rejected"].items())
+    said = f"{sum(result['rejected'].values())} samples were rejected ({counts}), "
+    assert any(words.startswith(said) for words in result["warnings"])
     assert len(result["contacts"]) == 2
 
 

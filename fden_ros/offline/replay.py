@@ -171,8 +171,9 @@ def _warnings(pipeline: Pipeline, summaries: list[ContactSummary]) -> list[str]:
     warnings = [f"{text} ({n} times)" if n > 1 else text for text, n in odd.items()]
     warnings += map(str, pipeline.failures)
     if pipeline.unusual_rejections:
-        rejected = pipeline.rejected.total()
-        warnings.append(f"{rejected} samples were rejected; `rejected` says why")
+        rejected, used = pipeline.rejected.total(), pipeline.pair_count
+        why = ", ".join(f"{reason} {n}" for reason, n in sorted(pipeline.rejected.items()))
+        warnings.append(f"{rejected:,} samples were rejected ({why}), {used:,} were used")
     if len(odd) == len(pipeline.problems) and not summaries:
         count = pipeline.pair_count
         code = "few samples" if 0 < count < LEAST_SAMPLES else "no contact" if count else "no pair"
