@@ -176,12 +176,13 @@ def arm_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_needs_ros_says_so_in_one_line_without():
-    code = "import sys; sys.modules['rclpy'] = None; from fden_ros import cli; "
-    code += "from fden_ros.nodes import programs as p; cli.main(['monitor', '/x']); p.identifier()"
+    code = "import subprocess, sys; sys.modules['rclpy'] = subprocess.Popen = None; "
+    code += "from fden_ros import cli; from fden_ros.nodes import programs as p; "
+    code += "cli.main(['monitor', '/x']); cli.main(['live']); p.identifier()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    words = r"(fden monitor|identifier): this needs ROS 2 \(.*rclpy.*\[wheels\].*"
+    words = r"(fden monitor|fden live|identifier): this needs ROS 2 \(.*rclpy.*\[wheels\].*"
     lines = done.stderr.splitlines()
-    assert len(lines) == 2 and all(re.fullmatch(words, line) for line in lines), done.stderr
+    assert len(lines) == 3 and all(re.fullmatch(words, line) for line in lines), done.stderr
 
 
 @pytest.mark.wheels

@@ -38,6 +38,7 @@ _PR_SET_PDEATHSIG = 1
 
 def run(args: argparse.Namespace) -> int:
     """Run the live system; return the exit code."""
+    import fden_ros.nodes.monitor  # noqa: F401, without ROS 2 nothing is to start
     from fden_ros.shipped import shipped
 
     path = args.parameters or shipped("config/tissue_simulator.yaml")
