@@ -26,7 +26,7 @@ from fden_ros.errors import Hint, InputError, without_ros
 _SAME_INTERRUPT = 1.0
 
 #: What the exit codes of all commands mean.
-EXIT_CODES = {0: "done", 1: "the input cannot be used", 2: "wrong usage"}
+EXIT_CODES = {0: "done", 1: "the input cannot be used", 2: "wrong usage", 130: "ended by Ctrl-C"}
 _HELP_WIDTH = 79
 
 #: What ``fden --help`` says of each module of :mod:`fden_ros.commands`.

@@ -50,7 +50,8 @@ def test_every_command_explains_itself(name, capsys):
     assert ended.value.code == 0
     assert command.DESCRIPTION in shown and command.EPILOG in shown
     assert f"\nExit codes: 0 {getattr(command, 'EXIT_CODES', {}).get(0, 'done')[:20]}" in shown
-    assert "2 wrong usage" in " ".join(shown.split())
+    words = " ".join(shown.split())
+    assert "2 wrong usage" in words and "130 ended by Ctrl-C" in words
     assert command.EPILOG.startswith("examples:\n") and f"fden {name}" in command.EPILOG
 
 
