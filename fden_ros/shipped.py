@@ -26,6 +26,12 @@ def shipped(name: str) -> Path:
     return found[0]
 
 
+def robot_names() -> tuple[str, ...]:
+    """Return the names of the robots in ``config/robots``."""
+    folders = all_shipped("config/robots")[:1]
+    return tuple(sorted(path.stem for folder in folders for path in folder.glob("*.yaml")))
+
+
 def all_shipped(name: str) -> list[Path]:
     """Return every place that a file or folder is in, the source tree first."""
     roots = [Path(__file__).resolve().parents[1]]

@@ -57,6 +57,7 @@ def test_every_command_explains_itself(name, capsys):
 
 #: A command, its exit code, and words of the one line that says why.
 REFUSALS = [
+    ("configure {pose} --robot kuk", 2, "'kuka_iiwa'"),
     ("benchmark robots --cases frictio -o {tmp}", 1, "there is no case 'frictio'"),
     ("monitor --duration 0", 2, "expected a number above 0, got '0'"),
     ("train nowhere -o {tmp}/l.yaml", 1, "which tissue is it? Write TISSUE=nowhere"),
@@ -86,9 +87,14 @@ START = 1_700_000_000_000_000_000
 
 
 @pytest.mark.parametrize(
-    ("line", "word"), [("fden rep", "replay"), ("fden replay rec --conf", "--config")]
+    ("line", "word"),
+    [
+        ("fden rep", "replay"),
+        ("fden replay rec --conf", "--config"),
+        ("fden configure rec --robot ", "kuka_iiwa"),
+    ],
 )
-def test_a_shell_completes_commands_and_options(line, word):
+def test_a_shell_completes_commands_options_and_robots(line, word):
     asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}
     # argcomplete answers on this descriptor.
     command = f"exec 8>&1; exec {sys.executable} -m fden_ros.cli"

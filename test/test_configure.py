@@ -25,13 +25,14 @@ from unknown_rigs import RigBag, SimulatedRig, judge, simulate_rig
 from benchmark.trial import elapsed
 from fden_ros.cli import main
 from fden_ros.configure.reading import read
-from fden_ros.configure.robots import robot_named, robot_names
+from fden_ros.configure.robots import robot_named
 from fden_ros.configure.sampling import find_filter
 from fden_ros.configure.streams import Streams
 from fden_ros.configure.survey import Survey, survey
 from fden_ros.configure.units import NOT_STATED, STATED_SI, unit_of
 from fden_ros.nodes.running import written_remaps
 from fden_ros.parameters import live_topics, read_parameter_file
+from fden_ros.shipped import robot_names
 from simulation.disturbance import Disturbances
 from simulation.scenario import (
     DisplacementSensor,

@@ -17,6 +17,7 @@ from fden_ros.commands.command import count, number, positive
 from fden_ros.errors import InputError
 from fden_ros.experiments.kinds import EXPERIMENTS
 from fden_ros.parameters import PARAMETERS
+from fden_ros.shipped import robot_names
 
 _Value = TypeVar("_Value")
 #: Inputs whose topic or field may be named: those that have a type of message.
@@ -289,9 +290,10 @@ OPTIONS: Mapping[str, Sequence[Option | Group]] = {
         _output("parameter file to write"),
         _option(
             "--robot",
-            "a known robot: crtk, franka, kuka_iiwa, ros2_control, ur, xarm",
+            f"a known robot: {', '.join(robot_names())}",
             str,
             "NAME",
+            choices=robot_names(),
         ),
         JSON,
         _option(

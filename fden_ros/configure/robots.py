@@ -14,7 +14,6 @@ import numpy as np
 import yaml
 
 from fden_ros.configure.survey import Survey
-from fden_ros.errors import InputError
 from fden_ros.recording.bag_files import Topic
 from fden_ros.recording.source import Selection
 from fden_ros.shipped import shipped
@@ -34,15 +33,8 @@ class Robot(NamedTuple):
     notes: Sequence[str]
 
 
-def robot_names() -> tuple[str, ...]:
-    """Return the names of all robots."""
-    return tuple(sorted(path.stem for path in shipped("config/robots").glob("*.yaml")))
-
-
 def robot_named(name: str) -> Robot:
-    """Return the robot called `name`, or raise :class:`InputError`."""
-    if name not in robot_names():
-        raise InputError(f"no robot {name} is known: {', '.join(robot_names())}")
+    """Return the robot called `name`, one of :func:`~fden_ros.shipped.robot_names`."""
     path = shipped("config/robots") / f"{name}.yaml"
     content: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     force, streams = content["force"], {s: content[s] for s in ("force", "displacement")}
