@@ -57,6 +57,7 @@ def test_every_command_explains_itself(name, capsys):
 
 #: A command, its exit code, and words of the one line that says why.
 REFUSALS = [
+    ("configure {tmp}/nowhere.xlsx", 1, "does not exist"),
     ("configure {pose} --robot kuk", 2, "'kuka_iiwa'"),
     ("benchmark robots --cases frictio -o {tmp}", 1, "there is no case 'frictio'"),
     ("monitor --duration 0", 2, "expected a number above 0, got '0'"),

@@ -395,9 +395,10 @@ def _check_above(
 
 
 def _text(path: Path) -> str:
+    content = _bytes(path)
     if path.suffix.lower() in _WORKBOOKS:
         raise _unreadable(path, "it is a workbook: save its sheet as CSV")
-    return _decoded(path, _bytes(path))
+    return _decoded(path, content)
 
 
 def _decoded(path: Path, data: bytes) -> str:
