@@ -37,6 +37,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from benchmark.trial import elapsed
+from fden_ros.advice import FLAGS
 from fden_ros.control import Cause, LiveTissue, Refusal
 from fden_ros.core.estimation import ParameterSet
 from fden_ros.core.law import FlatPunch
@@ -52,7 +53,7 @@ from fden_ros.core.outputs import (
 )
 from fden_ros.core.stiffness import MeasuredSlope, Slopes
 from fden_ros.core.streams import NANOSECONDS
-from fden_ros.report.monitor import MonitorView, monitor_view
+from fden_ros.report.monitor import MonitorView, monitor_line, monitor_view
 from fden_ros.ros.stiffness_map import StiffnessMap
 from fden_ros.simulation import FdenModel
 from fden_ros.tissue_feed import TissueFeed
@@ -137,6 +138,22 @@ def test_the_monitor_shows_what_is_known_and_what_is_not():
     for words in (interval, "gap", "99 Hz", "3 at site 2", "liver 97%", "safe", "2,620", "(500 ±"):
         assert words in text
     assert "no estimate for 3.0 s" in shown(replace(view, age=3.0, refusal=Refusal(Cause.LOST)))
+
+
+@pytest.mark.parametrize(
+    ("contact", "flags", "words"),
+    [
+        (0, Flag.NONE, "hold the probe in the air for 2 s, then press"),
+        (1, Flag.NONE, "nothing: it identifies"),
+        (1, Flag.MODEL_MISMATCH, str(FLAGS["MODEL_MISMATCH"])),
+    ],
+)
+def test_the_next_step_is_that_of_the_present_contact(contact, flags, words):
+    state = TissueState(0, Status.CONVERGING, flags, contact, contact, Phase.LOADING)
+    # Once a second, the diagnostics may not count it yet.
+    said = {"message": "identifying", "contacts": "0"}
+    view = MonitorView("/identifier", state=state, age=0.01, diagnostics=said)
+    assert monitor_line(view).endswith(f"next: {words}")
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from fden_ros.advice import FLAGS
 from fden_ros.control import Cause, Refusal
 from fden_ros.core.estimation import Estimate
 from fden_ros.core.outputs import ContactSummary, Flag, OrderSource, Status, TissueState
@@ -76,8 +77,8 @@ def monitor_line(view: MonitorView) -> str:
 
 
 def next_step(view: MonitorView) -> str:
-    """Return the one next step, by the node's diagnostics."""
-    said = view.diagnostics
+    """Return the one next step, by the node's diagnostics and the flags of the present contact."""
+    said, state = view.diagnostics, view.state
     if not said:
         return (
             f"start {view.identifier} with autostart:=true, or "
@@ -87,9 +88,14 @@ def next_step(view: MonitorView) -> str:
     if problem or "contacts" not in said:
         # Without values it is the reason why the node is not configured or activated.
         return problem or said["message"]
-    if said["contacts"] == "0":
+    if said["contacts"] == "0" and not (state and state.contact_id):
         return "hold the probe in the air for 2 s, then press"
-    return said.get("last contact") or "nothing: it identifies"
+    flags = state.flags if state else Flag.NONE
+    if state and state.apparent_stiffness:
+        # On a path no touch is expected.
+        flags &= ~Flag.TOUCH_NOT_OBSERVED
+    flagged = next((str(FLAGS[name]) for name in FLAGS if flags & Flag[name]), "")
+    return flagged or said.get("last contact") or "nothing: it identifies"
 
 
 def _present(view: MonitorView) -> Table:
