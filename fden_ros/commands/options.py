@@ -148,8 +148,8 @@ SELECTION = Group(
         *(
             _option(
                 f"--{one}-field",
-                f"field of the messages that holds the {one}, such as wrench.torque.z or "
-                f"data[2]; a vector is projected on {one}.axis",
+                f"message field that holds the {one}, such as wrench.torque.z or data[2]; a "
+                f"vector is projected onto {one}.axis",
                 _argument(_field_path),
                 "PATH",
             )
@@ -157,7 +157,7 @@ SELECTION = Group(
         ),
         _option(
             "--stamps",
-            "take the times of a bag from its headers, or from its recording",
+            "take the times of a bag from its message headers or from its recording",
             choices=("header", "recording"),
         ),
         _option(

@@ -49,7 +49,7 @@ def _of_sphere(sphere: Sphere, deepest: float) -> str:
     if deepest <= 0.0:
         return words
     least = quantity(math.sqrt(sphere.radius * deepest / ratio), "m")
-    words += f"; the {quantity(deepest, 'm')} that was reached needs {least}, and at "
+    words += f"; the {quantity(deepest, 'm')} that was reached needs a thickness of {least}; at "
     return words + _around(shown, lambda h: _raised(replace(sphere, thickness=h), deepest))
 
 
@@ -66,7 +66,7 @@ def _of_face(punch: FlatPunch) -> str:
 
 
 def _raised(layer: Sphere, depth: float) -> float:
-    """Return the factor by which the layer raises the force of a thick tissue [1]."""
+    """Return the ratio of the force on a layer to that on a thick tissue [1]."""
     compression = min(depth, layer.thickness) / layer.radius
     return layer.strain(compression) / compression**layer.exponent
 
@@ -74,5 +74,5 @@ def _raised(layer: Sphere, depth: float) -> float:
 def _around(thickness: float, factor: Callable[[float], float]) -> str:
     change = min(_CHANGE, _PART * thickness)
     here, more, less = (f"{factor(thickness + by):.2g}" for by in (0.0, change, -change))
-    times = f"{here} times too large ({more} if it is {quantity(change, 'm')} thicker"
-    return f"{quantity(thickness, 'm')} G comes out {times}, {less} if it is as much thinner)"
+    times, by = f"G comes out {here} times too large", quantity(change, "m")
+    return f"{quantity(thickness, 'm')}, {times} ({more} if {by} thicker, {less} if {by} thinner)"

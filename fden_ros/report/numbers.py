@@ -49,8 +49,9 @@ def result(
 ) -> str:
     """Return a positive number with its deviation, to first order, as a result.
 
-    In brackets, the data did not determine it. A value no larger than its own standard deviation
-    is stated by its upper bound at 95 %: its logarithm is normal, with `deviation` / `value`.
+    A number in brackets is not determined by the data. A value no larger than its own standard
+    deviation is stated by its upper bound at 95 %: its logarithm is normal, with `deviation` /
+    `value`.
     """
     if not is_of_data:
         return f"({plus_minus(value, deviation, most_digits)})"
