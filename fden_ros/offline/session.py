@@ -92,7 +92,7 @@ class Session:
     truth: dict[int, dict[str, Any]]  #: by site, of simulated recordings
 
     def seconds(self, stamp_ns: int) -> float:
-        """Return a time since the first pair [s]."""
+        """Return the time since the first pair of a stamp of `contacts`, not of `replay` [s]."""
         return (stamp_ns - self.trace.start_ns) / NANOSECONDS
 
 
