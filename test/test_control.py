@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import replace
 from typing import NamedTuple
@@ -19,7 +20,6 @@ from property_helpers import first
 from fden_ros.control import ForceControlConfig, ForceController, Gains, LiveTissue
 from fden_ros.control.force_control import GUARDED_STIFFENING
 from fden_ros.core.arrays import Array
-from fden_ros.core.estimation import Estimate
 from fden_ros.core.law import apparent_stiffness_factor
 from fden_ros.core.outputs import Output, TissueState
 from fden_ros.core.pipeline import Pipeline
@@ -51,7 +51,7 @@ class Run(NamedTuple):
     overshoot: tuple[float, float]  #: of the working and of the high step, as a share of it
     settling: float  #: of the working step: [s] until within 5 % of it; inf: it never is
     refusals: tuple[str, ...]  #: why estimates were not relied on, in order
-    estimates: tuple[Estimate, ...]
+    states: tuple[TissueState, ...]  #: with an estimate
 
 
 def tissue(place: float) -> FdenModel:
@@ -76,11 +76,11 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
     def arrived(output: Output) -> None:
         if isinstance(output, TissueState):
             live.add(output, rig.time)
-            estimates.extend([output.estimate] if output.estimate else [])
+            states.extend([output] if output.estimate else [])
 
     pipeline = Pipeline(settings, arrived)
     kept, refusals, forces, air = [], [""], [], []
-    estimates: list[Estimate] = []
+    states: list[TissueState] = []
     for n in range(round(END / rig.config.step)):
         rig.step()
         if n % _SENSOR_STEPS == 0:
@@ -123,7 +123,7 @@ def close_loop(model: FdenModel, *, scheduled: bool, lost_at: float = math.inf) 
         overshoot,
         settling,
         tuple(refusals[1:]),
-        tuple(estimates),
+        tuple(states),
     )
 
 
@@ -190,16 +190,29 @@ def test_scheduled_gains_keep_their_promises(place):
         assert scheduled.settling <= 0.5 * fixed.settling
 
 
-@pytest.mark.parametrize("place", first(5.0 / 11.0, 6.0 / 11.0, 10.0 / 11.0))
+@pytest.mark.parametrize("place", first(MIDDLE, 0.0, 0.25, 0.75))
+def test_what_is_known_stays_known_while_a_grid_is_laid_anew(place):
+    """It was lost ten times in four seconds, for 40 to 300 ms."""
+    states = closed(place, True).states
+    known = [state.estimate is not None and state.estimate.knows(0) for state in states]
+    assert sum(known) > 200
+    assert sum(before and not now for before, now in itertools.pairwise(known)) <= 3
+
+
+@pytest.mark.parametrize("place", first(10.0 / 11.0, 5.0 / 11.0, 6.0 / 11.0))
 def test_of_two_modes_that_explain_a_light_press_alike_neither_is_claimed(place):
-    """Alpha of 0.055 for 0.13 was known to 0.003 for two seconds."""
+    """Alpha of 0.055 for 0.13 was known to 0.003 for two seconds.
+
+    Of a mode that was found twice, and of evidences that jumped as blocks were gathered anew, 19
+    of 300 estimates were so.
+    """
     model = tissue(place)
     truth = model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order
     found = [
         abs(off(estimate, truth)[k])
-        for estimate in closed(place, True).estimates
+        for state in closed(place, True).states
         for k in range(3)
-        if estimate.knows(k)
+        if (estimate := state.estimate) is not None and estimate.knows(k)
     ]
     assert len(found) > 100
     assert np.mean(np.array(found) > 5.0) < 0.01

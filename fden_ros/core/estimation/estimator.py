@@ -59,6 +59,7 @@ class _Hypothesis:
     log_prior: float = 0.0  #: before the press that is open, or the last
     shift: float = 0.0  #: by which its indentations are larger than those that are given [1]
     base: float = 0.0  #: log evidence of its record before this counts
+    anew: float = 0.0  #: by which that has changed as blocks were gathered anew
     held: float | None = None  #: its weight while not all are gathered to the same cells
     grid: Grid | None = None  #: the newest
     laid_odds: float = 0.0  #: logarithm of the odds to the best when that was laid
@@ -68,7 +69,7 @@ class _Hypothesis:
         """Of it by now, as a logarithm."""
         if self.held is not None:
             return self.held
-        return self.log_prior + self.place.log_evidence - self.base
+        return self.log_prior + self.place.log_evidence - self.base - self.anew
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class GridEstimator(Estimator):
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
         self._round_at = self._step = 0.0  #: of the last round, and from sample to sample [s]
         self._is_due = False  #: a block has come since nothing was to be laid
+        self._were_resolved = False  #: the places, when their blocks began to wait
         self._newest = self._prior()  #: estimate
         self._ending: Iterator[None] | None = None  #: the last rounds of a press
 
@@ -127,7 +129,7 @@ class GridEstimator(Estimator):
         # Evidences compare where the records are of the same data.
         reach = max(one.place.reach + one.shift for one in self._hypotheses)
         for one in self._hypotheses:
-            one.log_prior, one.base = one.log_weight, one.place.log_evidence
+            one.log_prior, one.base, one.anew = one.log_weight, one.place.log_evidence, 0.0
             approach = onset.approach + np.array([[0.0], [one.shift], [0.0]])
             own = onset._replace(approach=approach)
             one.place.touch(own, self._now, reach - one.shift if one.place.reach else 0.0)
@@ -182,16 +184,21 @@ class GridEstimator(Estimator):
         self._hold()
         waiting[0].place.gather()
         if len(waiting) == 1:
-            self._compare()
+            self._compare(keeps_odds=self._were_resolved)
         return True
 
     def _hold(self) -> None:
+        if self._best.held is None:
+            places = [one.place for one in self._hypotheses]
+            self._were_resolved = all(place.is_laid and place.is_resolved for place in places)
         for one in self._hypotheses:
             one.held = one.log_weight
 
-    def _compare(self) -> None:
+    def _compare(self, *, keeps_odds: bool = False) -> None:
+        """Weigh the places by their cells by now; `keeps_odds`: these are of the same data."""
         for one in self._hypotheses:
-            one.held = None
+            held, one.held = one.log_weight, None
+            one.anew = one.anew + one.log_weight - held if keeps_odds else 0.0
         self._note_odds()
 
     def _take_turn(self) -> bool:
@@ -215,7 +222,8 @@ class GridEstimator(Estimator):
         best = self._best
         if not best.place.ask():
             return False
-        if (place := best.place.branched()) is not None:
+        known = [one.place.filter.grid for one in self._hypotheses if one.place.filter is not None]
+        if (place := best.place.branched(known)) is not None:
             self._hypotheses.append(replace(best, place=place, grid=None))
         return True
 
@@ -234,7 +242,7 @@ class GridEstimator(Estimator):
             dropped = [
                 one
                 for one in unlikely
-                if one not in stale and (one.place.is_settled or not one.place.is_due)
+                if one not in stale and (one.place.is_resolved or not one.place.is_due)
             ]
             self._hypotheses = [one for one in self._hypotheses if one not in dropped]
         return stale
@@ -273,12 +281,12 @@ class GridEstimator(Estimator):
 
         One that is not settled may be likelier than it seems.
         """
-        settled = [one.log_weight for one in self._hypotheses if one.place.is_settled]
+        settled = [one.log_weight for one in self._hypotheses if one.place.is_resolved]
         least = max(settled, default=-math.inf) - math.log(odds)
         return [
             one
             for one in self._hypotheses
-            if one.log_weight >= least - (0.0 if one.place.is_settled else _LOW)
+            if one.log_weight >= least - (0.0 if one.place.is_resolved else _LOW)
         ]
 
     # What else the pipeline needs

@@ -161,6 +161,11 @@ class Filter:
         self._mix()
 
     @property
+    def is_resolved(self) -> bool:
+        """Whether its grid has settled and still resolves the posterior."""
+        return self.grid.is_settled and not self.is_coarse and self.has_width
+
+    @property
     def is_full(self) -> bool:
         """Whether there is no room for another cell."""
         return self.count >= len(self.white)
@@ -209,7 +214,8 @@ class Filter:
 
     def append(self, tail: Press) -> Innovation | None:
         """Take the tail of the path; None: it was not observed, or there is no room."""
-        row = self._row(tail)
+        # A press that was gathered anew may begin elsewhere.
+        row = self._row(replace(tail, start=self.grid.law.place.presses[-1].start))
         if row is None or self.is_full:
             return None
         stress = float(tail.stresses[0])

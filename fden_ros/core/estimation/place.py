@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,9 +52,9 @@ _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
 #: its deviations are less than this part of the box's [1].
 _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
-#: A grid that has not settled counts as one for this time [s] after the last that had, while its
-#: mean is off by less than this, in deviations, and its log evidence by less than this [1].
-_AGREES, _AGREED, _GAINED = 0.15, 0.25, 1.0
+#: A round refutes the grid that had settled before where its mean is off by more than this, in
+#: the deviations of that grid [1].
+_REFUTED = 3.0
 #: Rounds until the record has grown again, and at the end of a press [1].
 _LAST_ROUNDS = 12
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
@@ -112,8 +112,8 @@ class PlacePosterior:
         self.gate = ChangeGate()
         self._afresh_at = 0.0
         self._start: Start | None = None  #: of the next round of a grid from nothing
-        #: Until when [s] a grid that has not settled counts as one: it agrees with the one before.
-        self._agrees_until = -math.inf
+        #: Of the last grid that had settled, with the cells since, until the next one has.
+        self._settled: Filter | None = None
         self._elsewhere: Grid | None = None  #: from nothing, settled at another mode
         #: A grid from nothing has settled, or was given up: two modes may explain the beginning of
         #: a first press alike.
@@ -172,12 +172,19 @@ class PlacePosterior:
         return len(self._tails)
 
     @property
-    def is_settled(self) -> bool:
+    def is_resolved(self) -> bool:
         """Whether the newest grid resolves the posterior by now."""
-        own = self.filter
-        if own is None or own.is_coarse or not own.has_width:
-            return False
-        return own.grid.is_settled or self.now < self._agrees_until
+        return self.filter is not None and self.filter.is_resolved
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether a grid resolves the posterior by now."""
+        return self._settled is not None or self.is_resolved
+
+    @property
+    def told(self) -> Filter | None:
+        """The weighted nodes of the newest grid that has settled, or of the newest."""
+        return self._settled or self.filter
 
     # A press
 
@@ -200,6 +207,7 @@ class PlacePosterior:
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
         self.gate, self._start, self._elsewhere = ChangeGate(), None, None
+        self._settled = None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> bool:
         """Take a sample; return whether it completes a block."""
@@ -229,6 +237,9 @@ class PlacePosterior:
             self._see_speed(block)
         if self._press is not None:
             found = self._follow(block)
+            if self._settled is not None:
+                self._settled.append(self._tails[-1])
+                self._settled = self._settled if self._settled.is_resolved else None
             if found is not None:
                 self._see_innovation(found)
         if self._waiting is not None:
@@ -249,6 +260,11 @@ class PlacePosterior:
         if self._press is not None:
             return self._cells >= _MOST
         return self._blocks >= _LEAST_BLOCKS and newest.middle - self._began >= _LEAST_TIME
+
+    @property
+    def is_laid(self) -> bool:
+        """Whether there is a grid of the press."""
+        return self._press is not None
 
     @property
     def is_waiting(self) -> bool:
@@ -296,7 +312,7 @@ class PlacePosterior:
         assert self.filter is not None
         grid = self.filter.grid
         is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
-        if not self.is_settled and not is_given_up:
+        if not self.is_resolved and not is_given_up:
             return True
         before = sum(press.end - press.start for press in self._ended)
         elapsed = before + self._newest.middle - self._began
@@ -355,6 +371,8 @@ class PlacePosterior:
         self._lay(replace(gathered(blocks, self.noise_sd, _GATHERED), spot=self._spot))
 
     def _lay(self, press: Press) -> None:
+        if self.is_laid and self.is_resolved:
+            self._settled = self.filter
         self._press = press
         self._tails.clear()
         law = self._law(press)
@@ -373,12 +391,14 @@ class PlacePosterior:
             self._afresh_at, self._start = elapsed, begun(law, noise)
 
     def _take(self, grid: Grid) -> None:
-        before, was_settled = self.filter, self.is_settled
         self.filter = Filter(grid)
-        if grid.is_settled:
-            self._agrees_until = self.now + _AGREES
-        elif before is None or not was_settled or not _agree(before, self.filter):
-            self._agrees_until = -math.inf
+        told = self._settled
+        if told is not None and (
+            grid.is_settled
+            or grid.after.rounds >= _LAST_ROUNDS
+            or _off(told, self.filter) > _REFUTED
+        ):
+            self._settled = None
         self.laid_at, self._laid_deep = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
@@ -403,13 +423,13 @@ class PlacePosterior:
         else:
             self._elsewhere = grid
 
-    def branched(self) -> PlacePosterior | None:
+    def branched(self, known: Sequence[Grid]) -> PlacePosterior | None:
         """Return the place at a less likely mode of its posterior; None: none has been found.
 
-        It is found once: evidences tell the two from now on.
+        It is found once: evidences tell the modes that are `known` from now on.
         """
         grid, self._elsewhere = self._elsewhere, None
-        if grid is None:
+        if grid is None or any(leads_to(grid, one) for one in known):
             return None
         found = self._copied()
         found.gate, found._record = copy.copy(self.gate), copy.deepcopy(self._record)
@@ -443,7 +463,7 @@ class PlacePosterior:
                     break
                 self.lay()
                 yield
-            self._agrees_until = -math.inf
+            self._settled = None
             self._ended.append(self._press)
         self._record = self._press = None
         if len(self._ended) > _PRESSES:
@@ -467,7 +487,7 @@ class PlacePosterior:
 
     def posterior(self) -> Posterior | None:
         """Return the posterior by now; None: there is none."""
-        return Posterior.of(self.filter) if self.filter is not None else None
+        return Posterior.of(self.told) if self.told is not None else None
 
     def law_error(self, posterior: Posterior) -> LawError | None:
         """Return how far the data bend the law, by the newest grid; None: it is said to be exact.
@@ -479,12 +499,11 @@ class PlacePosterior:
         return self._law_error[1]
 
 
-def _agree(one: Filter, other: Filter) -> bool:
-    """Whether two layings of a record have nearly the same posterior."""
+def _off(one: Filter, other: Filter) -> float:
+    """Return how far the mean of another laying is off, in deviations."""
     mean, covariance = moments_of(one.weights, one.grid.nodes)
     off = np.abs(other.weights @ other.grid.nodes - mean)
-    is_near = np.all(off < _AGREED * np.sqrt(np.maximum(covariance.diagonal(), 1e-24)))
-    return bool(is_near) and abs(other.log_evidence - one.log_evidence) < _GAINED
+    return float(np.max(off / np.sqrt(np.maximum(covariance.diagonal(), 1e-24))))
 
 
 def _likelier(one: Grid, other: Grid) -> Grid:
