@@ -30,7 +30,8 @@ class Controller(Node):
 
     def control(self):
         known = self.feed.stiffness(time_scale=1.0 / BANDWIDTH)  # None: do not rely on it
-        stiffness = known.value + known.sd if known else SAFE_STIFFNESS  # N/m
+        is_present = known is not None and known.depth is None  # not a slope of another depth
+        stiffness = known.value + known.sd if is_present else SAFE_STIFFNESS  # N/m
         velocity = BANDWIDTH * (TARGET - self.force) / stiffness if len(self.air) == 500 else 0.0
         self.command.publish(JointState(name=["z"], velocity=[max(-0.02, min(velocity, 0.02))]))
 

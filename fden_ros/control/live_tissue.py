@@ -61,7 +61,7 @@ class Cause(enum.Enum):
     TWO_PUBLISHERS = "two nodes publish the estimate: stop one, or give it another name"
     UNKNOWN = "the identifier does not know whether the probe touches: lift it and touch again"
     NO_CONTACT = "the probe is in the air"
-    NOT_CONVERGED = "the data do not determine the tissue yet: press deeper"
+    NOT_CONVERGED = "the data do not determine the tissue yet: press on, deeper, or hold for 2 s"
     NOT_OBSERVABLE = "G is known, Gn is not observable: press deeper; stiffness() gives N/m"
     REJECTED = "the estimate carries a flag that makes it unreliable"
 
