@@ -213,6 +213,7 @@ def test_presses_of_tissue_tell_a_delay_by_their_bends(geometry, motions, delay,
     assert ("displacement.delay" in finding.parameters) == (finding.claim and delay > 0.03)
     if finding.claim:
         assert f"bends of {len(motions)} press" in finding.evidence
+        assert "play looks alike" in finding.evidence
         assert finding.value == pytest.approx(delay, abs=3.0 * finding.deviation)
         assert finding.deviation < 0.01
 

@@ -119,7 +119,8 @@ def _of_tissue(sessions: Sequence[Session], axes: Axes) -> _Source | None:
     if not delays or len(delays) < len(found):
         return None
     value, sd = pooled(delays, [_LAW_SD] * len(delays))
-    name = f"the bends of {len(delays)} press{'es' * (len(delays) > 1)} of tissue"
+    presses = "press" if len(delays) == 1 else "presses"
+    name = f"the bends of {len(delays)} {presses} of tissue (play looks alike)"
     return _Source(name, value, max(sd, _LAW_SD))
 
 
