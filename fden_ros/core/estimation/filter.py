@@ -214,8 +214,7 @@ class Filter:
 
     def append(self, tail: Press) -> Innovation | None:
         """Take the tail of the path; None: it was not observed, or there is no room."""
-        # A press that was gathered anew may begin elsewhere.
-        row = self._row(replace(tail, start=self.grid.law.place.presses[-1].start))
+        row = self._row(tail)
         if row is None or self.is_full:
             return None
         stress = float(tail.stresses[0])
@@ -224,8 +223,7 @@ class Filter:
 
     def compared(self, tail: Press, stress: float) -> Innovation | None:
         """Compare the tail of the path with its prediction, and go along it without its stress."""
-        # A press that was gathered anew may begin elsewhere.
-        row = self._row(replace(tail, start=self.grid.law.place.presses[-1].start))
+        row = self._row(tail)
         if row is None:
             return None
         ((mean, variance),) = self._predicted([row])
@@ -315,6 +313,8 @@ class Filter:
     def _row(self, tail: Press) -> _Row | None:
         """Take the points of a block; return the row of its cell, None where it has none."""
         grid, law = self.grid, self.grid.law
+        # A press that was gathered anew may begin elsewhere.
+        tail = replace(tail, start=law.place.presses[-1].start)
         times, newest = tail.times, self.path.times[-1]
         at, free = grid.linear.at, grid.linear.free
         driven, slopes = law.drive(tail, self.stress_ahead(times), at, free)

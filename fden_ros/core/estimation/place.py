@@ -235,7 +235,7 @@ class PlacePosterior:
         if block.is_observed:
             self.deepest = max(self.deepest, block.indentation)
             self._see_speed(block)
-        if self._press is not None:
+        if self.is_laid:
             found = self._follow(block)
             if self._settled is not None:
                 self._settled.append(self._tails[-1])
@@ -257,7 +257,7 @@ class PlacePosterior:
 
     def _is_full(self, newest: Block) -> bool:
         """Whether the first grid of a press is due, or one of fewer cells, as there are many."""
-        if self._press is not None:
+        if self.is_laid:
             return self._cells >= _MOST
         return self._blocks >= _LEAST_BLOCKS and newest.middle - self._began >= _LEAST_TIME
 
@@ -305,7 +305,7 @@ class PlacePosterior:
         As the record has grown, or the nodes have moved out of the middle of their box; the
         second and further rounds of a grid that is not settled.
         """
-        if self._press is None or self._newest is None or not self._newest.is_observed:
+        if not self.is_laid or self._newest is None or not self._newest.is_observed:
             return False
         if self.gate.is_beyond:
             return False
@@ -446,7 +446,7 @@ class PlacePosterior:
             return
         for block in self._record.close():
             self._append(block)
-        if self.is_waiting or self._press is not None:
+        if self.is_waiting or self.is_laid:
             self._waiting = None
             self._lay_gathered(self._observed())
             yield
