@@ -199,12 +199,11 @@ def test_what_is_known_stays_known_while_a_grid_is_laid_anew(place):
     assert sum(before and not now for before, now in itertools.pairwise(known)) <= 3
 
 
-@pytest.mark.parametrize("place", first(10.0 / 11.0, 5.0 / 11.0, 6.0 / 11.0))
+@pytest.mark.parametrize("place", first(10.0 / 11.0, 5.0 / 11.0, 6.0 / 11.0, 21.0 / 47.0))
 def test_of_two_modes_that_explain_a_light_press_alike_neither_is_claimed(place):
     """Alpha of 0.055 for 0.13 was known to 0.003 for two seconds.
 
-    Of a mode that was found twice, and of evidences that jumped as blocks were gathered anew, 19
-    of 300 estimates were so.
+    Whether the strain is beyond 1/Gn is not known then: both are looked for.
     """
     model = tissue(place)
     truth = model.linear_stiffness, model.nonlinear_stiffness, model.fractional_order
@@ -215,7 +214,7 @@ def test_of_two_modes_that_explain_a_light_press_alike_neither_is_claimed(place)
         if (estimate := state.estimate) is not None and estimate.knows(k)
     ]
     assert len(found) > 100
-    assert np.mean(np.array(found) > 5.0) < 0.01
+    assert max(found) < 5.0
 
 
 def test_an_inclusion_takes_the_estimate_back():

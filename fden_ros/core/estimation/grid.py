@@ -53,6 +53,8 @@ _MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
 _ROUGH_CELLS = 16
 #: A step that leads out is halved as many times, and then not taken [1].
 _HALVINGS = 20
+#: Standard deviations of the box at another mode, over those of the prior [1].
+_NARROW = 0.2
 #: Nodes at which scales are weighed.
 _FEW = 6
 #: A change of the law's errors that is taken as it is [1].
@@ -401,8 +403,12 @@ def _unit_nodes(counts: tuple[int, ...], reach: float) -> tuple[Array, Array]:
     return z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2], steps
 
 
-def begun(law: Law, noise: Noise) -> Start:
-    """Return where to begin: about the best of a broad grid, under a rough error of the stress."""
+def begun(law: Law, noise: Noise, other: Grid | None = None) -> Start:
+    """Return where to begin: about the best of a broad grid, under a rough error of the stress.
+
+    Where the strain is near 1/Gn, a curve that bends and one that does not, with less relaxation,
+    may explain a press alike: these are two modes. `other`: begin at the other one.
+    """
     mean, sds = law.coordinates
     d, stresses = mean.size, law.place.joined("stresses")
     n = sum(press.times.size for press in law.place.presses)
@@ -410,6 +416,9 @@ def begun(law: Law, noise: Noise) -> Start:
     rig = np.ones(len(law.slots))
     about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n), rig)
     nodes, _ = _nodes(law, Box(mean, np.diag(sds)), law.broad, 2.4)
+    if other is not None:
+        is_other = law.are_beyond(nodes) != law.are_beyond(other.after.box.mean[None])
+        nodes = nodes[is_other] if is_other.any() else nodes
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
     # It is that of a whole press, not of each cell anew.
     rough *= math.sqrt(max(stresses.size / _ROUGH_CELLS, 1.0))
@@ -418,8 +427,12 @@ def begun(law: Law, noise: Noise) -> Start:
     found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     best = int(np.argmax(log))
-    weights, _ = tempered(log, least_effective(law))
-    box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
+    if other is None:
+        weights, _ = tempered(log, least_effective(law))
+        box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
+    else:
+        # A wide one would be drawn to the mode that is broader.
+        box = Box(nodes[best], np.diag(_NARROW * sds))
     middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
     scales = min(
         scales_of(law.config.uncertainty),
@@ -767,9 +780,9 @@ def _damped(own: Weighed, wanted: Expansion) -> Expansion:
     return law.stressed_by(found, stresses)
 
 
-def rounds(law: Law, noise: Noise, most: int = 12) -> Iterator[Grid]:
+def rounds(law: Law, noise: Noise, most: int = 12, other: Grid | None = None) -> Iterator[Grid]:
     """Lay grids from nothing until one is settled, at most as many times."""
-    start = begun(law, noise)
+    start = begun(law, noise, other)
     for _ in range(most):
         grid = laid(law, noise, start)
         yield grid

@@ -140,10 +140,19 @@ class Law:
     has_kernel_error: ClassVar = True
 
     @functools.cached_property
+    def deepest(self) -> float:
+        """The largest indentation of a cell [1]."""
+        return max(float(p.indentations[p.last].max()) for p in self.place.presses)
+
+    @functools.cached_property
     def last_knot(self) -> float:
         """The strain of the last knot of epsilon [1]: beyond the largest one."""
-        deepest = max(float(p.indentations[p.last].max()) for p in self.place.presses)
-        return last_knot(self.geometry.strain(max(deepest + self.contact_point_sd, 0.0)))
+        return last_knot(self.geometry.strain(max(self.deepest + self.contact_point_sd, 0.0)))
+
+    def are_beyond(self, nodes: Array) -> Array:
+        """Return whether the largest strain is beyond 1/Gn, where the curve bends, (M,)."""
+        strain, _ = self.strain(self.deepest - nodes[:, -1])
+        return np.asarray(strain * np.exp(nodes[:, self.kernels]) > 1.0)
 
     # What another law has otherwise
 

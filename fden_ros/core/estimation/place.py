@@ -46,7 +46,7 @@ _LEAST_BLOCKS, _LEAST_TIME = 8, TOUCH_TIME
 #: A grid is laid anew where depth or time have grown by this factor [1].
 _GROWTH = 1.25
 #: Cells of a press that is gathered, and when it is gathered anew [1].
-_GATHERED, _MOST = 40, 72
+_GATHERED, _MOST = 40, 88
 #: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
 _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
@@ -384,11 +384,12 @@ class PlacePosterior:
         else:
             moments = moments_of(self.filter.weights, self.filter.grid.nodes)
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
-        self._take(laid(law, noise, start))
+        grid = laid(law, noise, start)
+        self._take(grid)
         elapsed = self.now - self._began
         may_search = self.has_slowed or (not self._ended and elapsed > _AFRESH * _FIRST_AFRESH)
         if may_search and elapsed > _AFRESH * self._afresh_at:
-            self._afresh_at, self._start = elapsed, begun(law, noise)
+            self._afresh_at, self._start = elapsed, begun(law, noise, grid)
 
     def _take(self, grid: Grid) -> None:
         self.filter = Filter(grid)
@@ -453,7 +454,7 @@ class PlacePosterior:
             assert self.filter is not None and self._press is not None
             if self.elapsed > _AFRESH_END * self._afresh_at:
                 own = likelier = self.filter.grid
-                for afresh in rounds(own.law, own.noise, most=_LAST_ROUNDS):
+                for afresh in rounds(own.law, own.noise, _LAST_ROUNDS, own):
                     likelier = _likelier(own, afresh)
                     yield
                 self._take(likelier)
