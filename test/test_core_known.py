@@ -175,7 +175,8 @@ def test_a_stated_alpha_is_reported_as_wrong_where_it_is():
         assert (Flag.ALPHA_PRIOR_CONFLICT in summary.flags) == (wrong_by > 0.0)
     assert estimate.law_error is not None
     assert not estimate.knows(StateIndex.FRACTIONAL_ORDER)
-    assert estimate.law_error.order == pytest.approx(BEYOND[2], abs=0.02)
+    off = estimate.law_error.order - BEYOND[2]
+    assert abs(off) < 3.0 * estimate.law_error.order_sd < 0.03
 
 
 @pytest.mark.parametrize("seed", first(0, 1, 2))

@@ -40,8 +40,8 @@ _ODDS, _FAR = 20.0, 200.0
 #: where the logarithm of its odds has changed by the first, and, with the likeliest one, before it
 #: is dropped, where there are more cells since its newest grid than the second.
 _STALE, _FRESH = 2.0, 16
-#: Least time between two rounds [s]: of 160 cells one takes 25 ms.
-_ROUND_TIME = 0.04
+#: Least time between two rounds [s], and for each cell of the longest record: one takes 0.25 ms.
+_ROUND_TIME, _CELL_TIME = 0.04, 6e-4
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
 #: Deviations by which the order of the relaxation is another than is stated; its own are not less
@@ -161,17 +161,24 @@ class GridEstimator(Estimator):
         return self.estimate() if has_block else self._as_before()
 
     def work(self) -> None:
-        """Lay what the blocks have made due, a round each 40 ms; see :meth:`~.Estimator.work`.
+        """Lay what the blocks have made due, a round at a time; see :meth:`~.Estimator.work`.
 
         A sample of a slow sensor has the time of several.
         """
-        if not self._is_due or self._now - self._round_at < _ROUND_TIME:
+        if not self._is_due or self._now - self._round_at < (pause := self._pause):
             return
-        for _ in range(max(math.ceil(self._step / _ROUND_TIME), 1)):
+        for _ in range(max(math.ceil(self._step / pause), 1)):
             self._is_due = self._gather() or self._take_turn()
             if not self._is_due:
                 break
             self._round_at = self._now
+
+    @property
+    def _pause(self) -> float:
+        """Least time between two rounds [s]."""
+        filters = [one.place.filter for one in self._hypotheses]
+        counts = [own.count for own in filters if own is not None]
+        return max(_ROUND_TIME, _CELL_TIME * max(counts, default=0))
 
     def _gather(self) -> bool:
         """Gather one of the places whose blocks wait for that; False: there is none.

@@ -26,8 +26,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Duration of a block [s], and how long single samples are kept behind the first [s].
-BLOCK_TIME, TOUCH_TIME = 0.01, 0.05
+#: Duration of a block [s]; of a later one, over the time since the motion left its line [1]; and
+#: how long single samples are kept behind the first [s].
+BLOCK_TIME, _BLOCK_SHARE, TOUCH_TIME = 0.01, 0.02, 0.05
 #: How far the motion may be off its line beside its noise [1]; times that are the same [s].
 LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
@@ -184,7 +185,7 @@ class Record:
         self._path_of: list[int] = []  # that of each block, by its number
         self._open: Cell | None = None
         self._start: float | None = None
-        self._changed = 0.0
+        self._changed = self._turned = 0.0
         self._block_time = BLOCK_TIME
         self.deepest = -math.inf  #: largest indentation observed [1]
 
@@ -203,7 +204,7 @@ class Record:
         `is_observed`: its stress counts, not only its motion.
         """
         if self._start is None:
-            self._start = self._changed = time
+            self._start = self._changed = self._turned = time
         done: list[Block] = []
         if self._open is not None and self._is_complete(
             self._open, time, indentation, is_observed
@@ -225,13 +226,17 @@ class Record:
             return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        if time - cell.start > self._block_time - 0.5 * step + SAME_TIME:
+        whole = max(self._block_time, _BLOCK_SHARE * (cell.start - self._turned))
+        if time - cell.start > whole - 0.5 * step + SAME_TIME:
             return True
         if cell.count < 2:
             return False
         spread = math.sqrt(1.0 + 4.0 / cell.count)
         most = LINE_TOLERANCE + _LINE_DEVIATIONS * self.noise_sd * spread
-        return abs(indentation - cell.at(time)) > most
+        if abs(indentation - cell.at(time)) <= most:
+            return False
+        self._turned = time
+        return True
 
     def close(self) -> list[Block]:
         """End the open block; return what this completes."""
