@@ -329,6 +329,22 @@ def test_tip_lags_behind_the_play_of_its_drive_block_by_block_as_in_the_whole_mo
         np.testing.assert_array_equal(found, whole[points:])
 
 
+@pytest.mark.parametrize("rate", [100.0, 200.0, 300.0, 400.0, 500.0, 1000.0])
+def test_cells_follow_the_turns_of_a_motion_at_any_rate(rate: float) -> None:
+    """Of three or four samples two points changed their order, and no cell at a turn counted."""
+    times = np.arange(0.0, 3.0, 1.0 / rate)
+    strains = np.interp(times, [0.0, 1.003, 2.003, 2.5], [0.0, 0.25, 0.25, 0.0])
+    record = Record(0.0)
+    for time, strain in zip(times.tolist(), strains.tolist(), strict=True):
+        record.add(time, strain, 1e3 * strain, is_observed=True)
+    record.close()
+    press = gathered(record.blocks, 0.0, 40)
+    assert press.missed.max() < 2e-3
+    np.testing.assert_allclose(
+        press.indentations, np.interp(press.times, times, strains), atol=2e-3
+    )
+
+
 def test_press_with_many_corners_has_few_cells() -> None:
     samples = pressed(2)
     # Stamps of a busy computer: each tenth sample seems to come late.

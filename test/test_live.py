@@ -278,13 +278,13 @@ DEADLINE = 0.1
 class Press:
     """A press to 5 mm at 250 Hz with its true force, and the states that the pipeline made of it.
 
-    `after` is its speed from 3 s on [m/s].
+    `after` is its speed from 3.2 s on [m/s].
     """
 
     def __init__(self, model: FdenModel, seed: int, after: float) -> None:
-        draw, knots = np.random.default_rng(seed), np.array([0.0, 1.5, 2.7, 3.0, 4.2])
+        draw, knots = np.random.default_rng(seed), np.array([0.0, 1.5, 2.7, 3.2, 4.4])
         depths = np.array([-2e-3, -2e-3, 5e-3, 5e-3, 5e-3 + 1.2 * after])
-        self.times = np.arange(0.0, 4.2, 4e-3)
+        self.times = np.arange(0.0, 4.4, 4e-3)
         self.depth = np.interp(self.times, knots, depths)
         contacts = contacts_of_moves(moves_of_knots(knots, depths / THICKNESS), model)
         self.force = AREA * contacts.stress(self.times)
@@ -321,7 +321,7 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds):
             np.array([0.25, 0.15, 0.08]) * generator.standard_normal(3)
         )
         run = Press(FdenModel(g, gn, order), seed, after=(0.002, 0.004, -0.002, 0.0)[seed % 4])
-        live, now = run.heard_until(3.0)
+        live, now = run.heard_until(3.2)
         # The estimate stands for the middle of its block.
         start = elapsed(run.last.stamp_ns) - 0.005
         ahead = np.linspace(0.02, 1.0, 50)
@@ -341,7 +341,7 @@ def test_predictions_hold_the_truth_in_their_intervals_on_random_tissue(seeds):
 
 def test_an_old_estimate_and_that_of_one_of_two_publishers_are_refused(press):
     losses: list[Refusal] = []
-    live, now = press.heard_until(3.0, on_loss=losses.append)
+    live, now = press.heard_until(3.2, on_loss=losses.append)
     reading = live.reading(now + 0.9 * DEADLINE)
     assert reading is not None and reading.age == pytest.approx(0.9 * DEADLINE, abs=0.01)
     late = now + 1.01 * DEADLINE
@@ -369,7 +369,7 @@ def test_an_old_estimate_and_that_of_one_of_two_publishers_are_refused(press):
 )
 def test_what_cannot_be_relied_on_is_refused_with_its_cause_and_flags(press, change, cause):
     losses: list[Refusal] = []
-    live, _ = press.heard_until(3.0, on_loss=losses.append)
+    live, _ = press.heard_until(3.2, on_loss=losses.append)
     losses.clear()
     stamp_ns = press.last.stamp_ns + 10_000_000
     live.add(replace(press.last, stamp_ns=stamp_ns, **change), stamp_ns / NANOSECONDS)
@@ -393,7 +393,7 @@ def test_stiffness_is_that_of_the_law_where_it_is_known_and_the_measured_slope_w
         (Flag.MODEL_MISMATCH | Flag.TISSUE_CHANGED, 0.1, slope, nothing),
         (Flag.IMPLAUSIBLE, 0.1, slope, nothing),
     ):
-        live, now = press.heard_until(3.0)
+        live, now = press.heard_until(3.2)
         then = now + 0.01
         known = press.last.apparent_stiffness
         known = replace(known, sd=deviation * known.value)
@@ -414,7 +414,7 @@ def test_stiffness_is_that_of_the_law_where_it_is_known_and_the_measured_slope_w
 
 def test_an_estimate_that_the_node_published_late_is_refused_and_remembered(press):
     """By the deadline of the node, or that of the feed; what was pressed meanwhile is known."""
-    live, now = press.heard_until(3.0)
+    live, now = press.heard_until(3.2)
     later = [s for s in press.states if s.stamp_ns > (now + 0.001) * NANOSECONDS][:3]
     for lag, deadline in ((0.3, 0.1), (0.3, 1.0)):
         state = late(replace(later[0], lag=lag), deadline)

@@ -40,7 +40,7 @@ _ODDS, _FAR = 20.0, 200.0
 #: where the logarithm of its odds has changed by the first, and, with the likeliest one, before it
 #: is dropped, where there are more cells since its newest grid than the second.
 _STALE, _FRESH = 2.0, 16
-#: Least time between two rounds [s], and for each cell of the longest record: one takes 0.25 ms.
+#: Least time after a round [s], and for each cell of its record: one takes 0.25 ms.
 _ROUND_TIME, _CELL_TIME = 0.04, 6e-4
 #: The log evidence of a grid that is not settled is low by less than this [1].
 _LOW = 10.0
@@ -94,6 +94,7 @@ class GridEstimator(Estimator):
         self._hypotheses = [_Hypothesis(PlacePosterior(self._setting))]
         self._touched_at, self._now, self._count = 0.0, 0.0, 0
         self._round_at = self._step = 0.0  #: of the last round, and from sample to sample [s]
+        self._pause = _ROUND_TIME  #: least time to the next round [s]
         self._is_due = False  #: a block has come since nothing was to be laid
         self._were_resolved = False  #: the places, when their blocks began to wait
         self._newest = self._prior()  #: estimate
@@ -165,34 +166,29 @@ class GridEstimator(Estimator):
 
         A sample of a slow sensor has the time of several.
         """
-        if not self._is_due or self._now - self._round_at < (pause := self._pause):
+        if not self._is_due or self._now - self._round_at < self._pause:
             return
-        for _ in range(max(math.ceil(self._step / pause), 1)):
-            self._is_due = self._gather() or self._take_turn()
-            if not self._is_due:
+        for _ in range(max(math.ceil(self._step / self._pause), 1)):
+            place = self._gather() or self._take_turn()
+            self._is_due = place is not None
+            if place is None:
                 break
             self._round_at = self._now
+            self._pause = max(_ROUND_TIME, _CELL_TIME * place.count)
 
-    @property
-    def _pause(self) -> float:
-        """Least time between two rounds [s]."""
-        filters = [one.place.filter for one in self._hypotheses]
-        counts = [own.count for own in filters if own is not None]
-        return max(_ROUND_TIME, _CELL_TIME * max(counts, default=0))
-
-    def _gather(self) -> bool:
-        """Gather one of the places whose blocks wait for that; False: there is none.
+    def _gather(self) -> PlacePosterior | None:
+        """Gather and return one of the places whose blocks wait for that; None: there is none.
 
         Evidences are of the same cells: until all are gathered, the weights are as before.
         """
         waiting = [one for one in self._hypotheses if one.place.is_waiting]
         if not waiting:
-            return False
+            return None
         self._hold()
         waiting[0].place.gather()
         if len(waiting) == 1:
             self._compare(keeps_odds=self._were_resolved)
-        return True
+        return waiting[0].place
 
     def _hold(self) -> None:
         if self._best.held is None:
@@ -208,18 +204,19 @@ class GridEstimator(Estimator):
             one.anew = one.anew + one.log_weight - held if keeps_odds else 0.0
         self._note_odds()
 
-    def _take_turn(self) -> bool:
-        """Lay a round of the place that has waited for longest; False: none is due."""
+    def _take_turn(self) -> PlacePosterior | None:
+        """Lay a round of the place that has waited for longest; None: none is due."""
         self._note_odds()
         stale = self._drop()
         places = [one.place for one in self._hypotheses if one.place.is_due or one in stale]
         due = [place for place in places if not place.gate.is_beyond]
         if due:
-            min(due, key=lambda place: place.laid_at).lay()
-        elif not self._ask():
-            return False
+            place = min(due, key=lambda place: place.laid_at)
+            place.lay()
+        elif (place := self.best) and not self._ask():
+            return None
         self._note_odds()
-        return True
+        return place
 
     def _ask(self) -> bool:
         """Lay a round of another grid of the likeliest place; False: none is due.

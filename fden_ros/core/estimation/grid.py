@@ -53,14 +53,17 @@ _MISFIT, _MISFIT_DEVIATIONS = 1.5, 4.0
 _ROUGH_CELLS = 16
 #: A step that leads out is halved as many times, and then not taken [1].
 _HALVINGS = 20
-#: Standard deviations of the box at another mode, over those of the prior [1].
-_NARROW = 0.2
+#: Standard deviations of the box at another mode, over those of the prior, and by how much less
+#: likely than the best node its best is at most, as a logarithm [1].
+_NARROW, _POSSIBLE = 0.2, 10.0
 #: Nodes at which scales are weighed.
 _FEW = 6
 #: A change of the law's errors that is taken as it is [1].
 _SMALL_STEP = 0.02
 #: Rounds after which steps are damped [1].
 _DAMPED_FROM = 5
+#: Rounds after which a grid that has not settled is given up [1].
+LAST_ROUNDS = 12
 #: Scales less likely than the best by this logarithm do not count [1].
 _NEGLIGIBLE_SCALE = 4.0
 
@@ -317,7 +320,9 @@ class Grid(Weighed):
 
         The errors of another one are random walks too: measured beef has 2 to 9 a cell.
         """
-        if not self.is_settled or self.law.config.uncertainty.characteristic_sd:
+        if not self.is_settled and self.after.rounds < LAST_ROUNDS:
+            return False
+        if self.law.config.uncertainty.characteristic_sd:
             return False
         count = len(self.lower)
         chi_squared = float(np.sum(self.residual[:, int(np.argmax(self.log))] ** 2))
@@ -416,9 +421,6 @@ def begun(law: Law, noise: Noise, other: Grid | None = None) -> Start:
     rig = np.ones(len(law.slots))
     about = Expansion(mean, prior_of_log_g(law)[0], zero[:, 0], zero, np.zeros(n), rig)
     nodes, _ = _nodes(law, Box(mean, np.diag(sds)), law.broad, 2.4)
-    if other is not None:
-        is_other = law.are_beyond(nodes) != law.are_beyond(other.after.box.mean[None])
-        nodes = nodes[is_other] if is_other.any() else nodes
     rough = np.sqrt(noise.stress**2 + (0.05 * stresses) ** 2 + (0.02 * np.ptp(stresses)) ** 2)
     # It is that of a whole press, not of each cell anew.
     rough *= math.sqrt(max(stresses.size / _ROUGH_CELLS, 1.0))
@@ -426,13 +428,14 @@ def begun(law: Law, noise: Noise, other: Grid | None = None) -> Start:
     y = stresses / rough
     found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
-    best = int(np.argmax(log))
-    if other is None:
-        weights, _ = tempered(log, least_effective(law))
-        box = _moments(law, nodes, weights, Box(mean, np.diag(sds)))
-    else:
-        # A wide one would be drawn to the mode that is broader.
-        box = Box(nodes[best], np.diag(_NARROW * sds))
+    weights, _ = tempered(log, least_effective(law))
+    best, box = int(np.argmax(log)), _moments(law, nodes, weights, Box(mean, np.diag(sds)))
+    if other is not None:
+        is_there = law.are_beyond(nodes) != law.are_beyond(other.after.box.mean[None])
+        there = int(np.argmax(np.where(is_there, log, -math.inf)))
+        if is_there[there] and log[there] > log[best] - _POSSIBLE:
+            # A wide box would be drawn to the mode that is broader.
+            best, box = there, Box(nodes[there], np.diag(_NARROW * sds))
     middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
     scales = min(
         scales_of(law.config.uncertainty),
@@ -780,10 +783,10 @@ def _damped(own: Weighed, wanted: Expansion) -> Expansion:
     return law.stressed_by(found, stresses)
 
 
-def rounds(law: Law, noise: Noise, most: int = 12, other: Grid | None = None) -> Iterator[Grid]:
-    """Lay grids from nothing until one is settled, at most as many times."""
+def rounds(law: Law, noise: Noise, other: Grid | None = None) -> Iterator[Grid]:
+    """Lay grids from nothing until one is settled or given up; the parameters are of `begun`."""
     start = begun(law, noise, other)
-    for _ in range(most):
+    for _ in range(LAST_ROUNDS):
         grid = laid(law, noise, start)
         yield grid
         if grid.is_settled:

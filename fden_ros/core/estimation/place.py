@@ -24,6 +24,7 @@ from fden_ros.core.estimation.estimate import LawError
 from fden_ros.core.estimation.face import Innovation, Setting, Touch
 from fden_ros.core.estimation.filter import Filter
 from fden_ros.core.estimation.grid import (
+    LAST_ROUNDS,
     Grid,
     Start,
     begun,
@@ -55,8 +56,6 @@ _MOST_OFF, _LEAST_SPREAD = 1.0, 0.5
 #: A round refutes the grid that had settled before where its mean is off by more than this, in
 #: the deviations of that grid [1].
 _REFUTED = 3.0
-#: Rounds until the record has grown again, and at the end of a press [1].
-_LAST_ROUNDS = 12
 #: A grid is laid from nothing too where the time of a press has grown by this factor since the
 #: last [1], and by the second at its end: scales that were small are left only where the columns
 #: are those of larger ones, and the log evidence was up to 15 lower.
@@ -165,6 +164,11 @@ class PlacePosterior:
         """Standard deviation of ln N/m, or of ln stress, for a relaxation not seen yet [1]."""
         is_seen = self.has_slowed or self.presses > 1
         return 0.0 if is_seen else _UNSEEN * self.setting.config.uncertainty.characteristic_sd
+
+    @property
+    def count(self) -> int:
+        """Cells of the record by now."""
+        return self.filter.count if self.filter is not None else 0
 
     @property
     def behind(self) -> int:
@@ -311,7 +315,7 @@ class PlacePosterior:
             return False
         assert self.filter is not None
         grid = self.filter.grid
-        is_given_up = not grid.is_settled and grid.after.rounds % _LAST_ROUNDS == 0
+        is_given_up = not grid.is_settled and grid.after.rounds % LAST_ROUNDS == 0
         if not self.is_resolved and not is_given_up:
             return True
         before = sum(press.end - press.start for press in self._ended)
@@ -396,7 +400,7 @@ class PlacePosterior:
         told = self._settled
         if told is not None and (
             grid.is_settled
-            or grid.after.rounds >= _LAST_ROUNDS
+            or grid.after.rounds >= LAST_ROUNDS
             or _off(told, self.filter) > _REFUTED
         ):
             self._settled = None
@@ -413,7 +417,7 @@ class PlacePosterior:
         about = own.law.stressed(start.about)
         grid = laid(own.law, own.noise, start._replace(about=about))
         is_near = leads_to(grid, own)
-        has_ended = is_near or grid.is_settled or grid.after.rounds >= _LAST_ROUNDS
+        has_ended = is_near or grid.is_settled or grid.after.rounds >= LAST_ROUNDS
         self._start = None if has_ended else grid.after
         self.has_searched |= has_ended
         if is_near or not grid.is_settled:
@@ -454,12 +458,12 @@ class PlacePosterior:
             assert self.filter is not None and self._press is not None
             if self.elapsed > _AFRESH_END * self._afresh_at:
                 own = likelier = self.filter.grid
-                for afresh in rounds(own.law, own.noise, _LAST_ROUNDS, own):
+                for afresh in rounds(own.law, own.noise, own):
                     likelier = _likelier(own, afresh)
                     yield
                 self._take(likelier)
             self.has_searched = True
-            for _ in range(_LAST_ROUNDS):
+            for _ in range(LAST_ROUNDS):
                 if self.filter.grid.is_settled:
                     break
                 self.lay()

@@ -275,7 +275,8 @@ class Record:
         left = last.end - middle - spread
         if abs(after.line()[3] - path.line()[3]) * left <= _KINK:
             return None
-        end = Cell(last.end - last.step, False)
+        # Of three or four samples the second point is within the last step.
+        end = Cell(max(last.end - last.step, middle + spread), False)
         for time in (end.start, last.end):
             end.add(time, path.at(time), 0.0)
         return end
