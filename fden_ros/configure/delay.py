@@ -41,6 +41,8 @@ _CLEAR, _APART = 3.0, 4.0
 _DELAYS, _STEP = np.arange(-0.14, 0.161, 0.02), 0.005
 #: A delay this far from the best [s] is excluded, or relaxation cannot be separated from it.
 _EXCLUDED = 0.04
+#: The probe has not turned back above this part of the depth.
+_DEEP = 0.98
 #: Times of relaxation [s], and knots of the depth.
 _RELAXATION, _KNOTS = (0.01, 0.05, 0.3, 2.0), 7
 #: Presses that are analysed, the length of each [s], and its samples per second.
@@ -120,7 +122,7 @@ def _of_tissue(sessions: Sequence[Session], axes: Axes) -> _Source | None:
         return None
     value, sd = pooled(delays, [_LAW_SD] * len(delays))
     presses = "press" if len(delays) == 1 else "presses"
-    name = f"the bends of {len(delays)} {presses} of tissue (play looks alike)"
+    name = f"the bends of {len(delays)} {presses} of tissue"
     return _Source(name, value, max(sd, _LAW_SD))
 
 
@@ -132,14 +134,18 @@ def _of_press(session: Session, contact: Contact, grows: Array, into: Array) -> 
     start = max(contact.start - _AIR, streams.start + margin)
     end = min(contact.end + _AIR, contact.start + _LONGEST, streams.end - margin)
     times = np.arange(start, end, 1.0 / rate)
-    if times.size < 2 * _KNOTS * len(_RELAXATION):
-        return None
     push = np.interp(times, streams.force_times, session.unloaded @ grows)
     depth = streams.position @ into
     inside = depth[(streams.motion_times > contact.start) & (streams.motion_times < end)]
     touch = np.interp(contact.start, streams.motion_times, depth)
     reach = float(inside.max() - touch) if inside.size else 0.0
     knots = touch + reach * np.linspace(-0.15, 1.0, _KNOTS, endpoint=False)
+    # Where the probe turns back, play of its drive looks like a delay.
+    deep = streams.motion_times[depth > touch + _DEEP * reach]
+    times = times[times < deep[deep < end].max(initial=start)]
+    push = push[: times.size]
+    if times.size < 2 * _KNOTS * len(_RELAXATION):
+        return None
 
     def fitted(delay: float) -> Array:
         moved = np.interp(times + delay, streams.motion_times, depth)
