@@ -477,7 +477,7 @@ def test_a_contact_of_an_hour_is_one_contact_in_constant_memory(minutes):
             sizes.append(len(pickle.dumps(pipeline)))
     assert pipeline.contact_count == 2
     assert not pipeline.rejected
-    # A press has 40 to 88 cells, and at times a second grid.
+    # A press has 40 to 72 cells, and at times a second grid.
     assert max(sizes[15:]) < 1.1 * max(sizes[:15])
 
 

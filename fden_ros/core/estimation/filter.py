@@ -48,7 +48,7 @@ from fden_ros.core.estimation.record import Block
 from fden_ros.core.law import RATES
 
 #: Cells that a filter takes before its grid is laid anew [1].
-_ROOM = 64
+_ROOM = 48
 #: A tool is bent by a stress of at most as many times the largest of the grid's cells [1]: where
 #: the model bends it the wrong way, its stress would run away.
 _MOST_STRESS = 10.0

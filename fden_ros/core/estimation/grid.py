@@ -408,11 +408,12 @@ def _unit_nodes(counts: tuple[int, ...], reach: float) -> tuple[Array, Array]:
     return z[np.einsum("ij,ij->i", z, z) <= (1.13 * reach) ** 2], steps
 
 
-def begun(law: Law, noise: Noise, other: Grid | None = None) -> Start:
+def begun(law: Law, noise: Noise, known: Grid | None = None) -> list[Start]:
     """Return where to begin: about the best of a broad grid, under a rough error of the stress.
 
     Where the strain is near 1/Gn, a curve that bends and one that does not, with less relaxation,
-    may explain a press alike: these are two modes. `other`: begin at the other one.
+    may explain a press alike: these are two modes. Where the other than the `known` one may, it
+    is where to begin as well.
     """
     mean, sds = law.coordinates
     d, stresses = mean.size, law.place.joined("stresses")
@@ -429,20 +430,24 @@ def begun(law: Law, noise: Noise, other: Grid | None = None) -> Start:
     found = of_stiffness(np.einsum("ij,ij->j", white, white), y @ white, *prior_of_log_g(law))
     log = found.log + log_prior_of(law, nodes)
     weights, _ = tempered(log, least_effective(law))
-    best, box = int(np.argmax(log)), _moments(law, nodes, weights, Box(mean, np.diag(sds)))
-    if other is not None:
-        is_there = law.are_beyond(nodes) != law.are_beyond(other.after.box.mean[None])
-        there = int(np.argmax(np.where(is_there, log, -math.inf)))
-        if is_there[there] and log[there] > log[best] - _POSSIBLE:
+    best = int(np.argmax(log))
+    places = [(best, _moments(law, nodes, weights, Box(mean, np.diag(sds))))]
+    if known is not None:
+        is_other = law.are_beyond(nodes) != law.are_beyond(known.after.box.mean[None])
+        there = int(np.argmax(np.where(is_other, log, -math.inf)))
+        if is_other[there] and log[there] > log[best] - _POSSIBLE:
             # A wide box would be drawn to the mode that is broader.
-            best, box = there, Box(nodes[there], np.diag(_NARROW * sds))
+            places.append((there, Box(nodes[there], np.diag(_NARROW * sds))))
     middle = np.array([0.1, 0.1, 0.06, 1.0]) + 1e-4
     scales = min(
         scales_of(law.config.uncertainty),
         key=lambda one: float(np.abs(np.log((np.array(one.sizes) + 1e-4) / middle)).sum()),
     )
-    about = replace(about, theta=nodes[best], log_g=float(found.log_g[best]))
-    return Start(law.stressed(about), box, scales)
+    starts = []
+    for k, box in places:
+        own = replace(about, theta=nodes[k], log_g=float(found.log_g[k]))
+        starts.append(Start(law.stressed(own), box, scales))
+    return starts
 
 
 def continued(law: Law, grid: Grid, mean: Array, covariance: Array, log_evidence: float) -> Start:
@@ -783,12 +788,12 @@ def _damped(own: Weighed, wanted: Expansion) -> Expansion:
     return law.stressed_by(found, stresses)
 
 
-def rounds(law: Law, noise: Noise, other: Grid | None = None) -> Iterator[Grid]:
-    """Lay grids from nothing until one is settled or given up; the parameters are of `begun`."""
-    start = begun(law, noise, other)
-    for _ in range(LAST_ROUNDS):
-        grid = laid(law, noise, start)
-        yield grid
-        if grid.is_settled:
-            break
-        start = grid.after._replace(about=law.stressed(grid.after.about))
+def rounds(law: Law, noise: Noise, known: Grid | None = None) -> Iterator[Grid]:
+    """Lay grids from nothing until each is settled or given up; the parameters are of `begun`."""
+    for start in begun(law, noise, known):
+        for _ in range(LAST_ROUNDS):
+            grid = laid(law, noise, start)
+            yield grid
+            if grid.is_settled:
+                break
+            start = grid.after._replace(about=law.stressed(grid.after.about))

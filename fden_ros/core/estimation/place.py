@@ -47,7 +47,7 @@ _LEAST_BLOCKS, _LEAST_TIME = 8, TOUCH_TIME
 #: A grid is laid anew where depth or time have grown by this factor [1].
 _GROWTH = 1.25
 #: Cells of a press that is gathered, and when it is gathered anew [1].
-_GATHERED, _MOST = 40, 88
+_GATHERED, _MOST = 40, 72
 #: Presses of a place in its record; of older ones the stress acts on, and no more is learned [1].
 _PRESSES = 3
 #: A grid is laid anew where its mean is off the middle of its box by this, in its deviations, or
@@ -110,7 +110,7 @@ class PlacePosterior:
         self.has_slowed = False
         self.gate = ChangeGate()
         self._afresh_at = 0.0
-        self._start: Start | None = None  #: of the next round of a grid from nothing
+        self._starts: list[Start] = []  #: of grids from nothing, the first of its next round
         #: Of the last grid that had settled, with the cells since, until the next one has.
         self._settled: Filter | None = None
         self._elsewhere: Grid | None = None  #: from nothing, settled at another mode
@@ -210,7 +210,7 @@ class PlacePosterior:
         self._newest = self._waiting = None
         self._is_pressed = self.has_slowed = False
         self._fastest = self._afresh_at = 0.0
-        self.gate, self._start, self._elsewhere = ChangeGate(), None, None
+        self.gate, self._starts, self._elsewhere = ChangeGate(), [], None
         self._settled = None
 
     def add(self, time: float, indentation: float, stress: float, *, on_tissue: bool) -> bool:
@@ -277,8 +277,8 @@ class PlacePosterior:
 
     def ask(self) -> bool:
         """Lay one round of another grid: from nothing, or of a rival; False: nothing is due."""
-        if self._start is not None:
-            self._lay_afresh(self._start)
+        if self._starts:
+            self._lay_afresh()
         elif self.filter is not None and self._rival.is_due(self.laid_at):
             self._rival.lay(self.filter)
         else:
@@ -380,11 +380,9 @@ class PlacePosterior:
         self._press = press
         self._tails.clear()
         law = self._law(press)
-        if self.filter is not None and law.last_knot != self.filter.grid.law.last_knot:
-            self._start = None  # its errors have other knots
         noise = Noise(self.setting.noise_sd, self.noise_sd)
         if self.filter is None:
-            start = begun(law, noise)
+            (start,) = begun(law, noise)
         else:
             moments = moments_of(self.filter.weights, self.filter.grid.nodes)
             start = continued(law, self.filter.grid, *moments, self.filter.log_leading)
@@ -393,7 +391,7 @@ class PlacePosterior:
         elapsed = self.now - self._began
         may_search = self.has_slowed or (not self._ended and elapsed > _AFRESH * _FIRST_AFRESH)
         if may_search and elapsed > _AFRESH * self._afresh_at:
-            self._afresh_at, self._start = elapsed, begun(law, noise, grid)
+            self._afresh_at, self._starts = elapsed, begun(law, noise, grid)
 
     def _take(self, grid: Grid) -> None:
         self.filter = Filter(grid)
@@ -407,19 +405,19 @@ class PlacePosterior:
         self.laid_at, self._laid_deep = self.now - self._began, self.deepest
         self._rival.see(self.filter, can_tell=self.has_slowed and not self._ended)
 
-    def _lay_afresh(self, start: Start) -> None:
+    def _lay_afresh(self) -> None:
         """Lay one round of a grid from nothing, of the record of the newest grid; take a likelier.
 
         The record may be longer than that of the round before.
         """
         assert self.filter is not None
-        own = self.filter.grid
+        own, (start, *others) = self.filter.grid, self._starts
         about = own.law.stressed(start.about)
         grid = laid(own.law, own.noise, start._replace(about=about))
         is_near = leads_to(grid, own)
         has_ended = is_near or grid.is_settled or grid.after.rounds >= LAST_ROUNDS
-        self._start = None if has_ended else grid.after
-        self.has_searched |= has_ended
+        self._starts = others if has_ended else [grid.after, *others]
+        self.has_searched |= not self._starts
         if is_near or not grid.is_settled:
             return
         if _likelier(own, grid) is grid:
@@ -459,7 +457,7 @@ class PlacePosterior:
             if self.elapsed > _AFRESH_END * self._afresh_at:
                 own = likelier = self.filter.grid
                 for afresh in rounds(own.law, own.noise, own):
-                    likelier = _likelier(own, afresh)
+                    likelier = _likelier(likelier, afresh)
                     yield
                 self._take(likelier)
             self.has_searched = True

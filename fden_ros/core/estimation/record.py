@@ -26,9 +26,9 @@ import numpy as np
 
 from fden_ros.core.arrays import Array
 
-#: Duration of a block [s]; of a later one, over the time since the motion left its line [1]; and
-#: how long single samples are kept behind the first [s].
-BLOCK_TIME, _BLOCK_SHARE, TOUCH_TIME = 0.01, 0.02, 0.05
+#: Duration of a block [s]; of a later one, over the time since the motion left its line [1], and
+#: at most [s]; and how long single samples are kept behind the first [s].
+BLOCK_TIME, _BLOCK_SHARE, _LONGEST, TOUCH_TIME = 0.01, 0.02, 0.03, 0.05
 #: How far the motion may be off its line beside its noise [1]; times that are the same [s].
 LINE_TOLERANCE, SAME_TIME = 1.5e-5, 1e-6
 #: A block ends where the motion leaves its line by as many standard deviations of the noise [1].
@@ -226,7 +226,8 @@ class Record:
             return time - cell.start > 1e-3 - SAME_TIME
         # Half a step's tolerance, so that jitter of the stamps adds no sample.
         step = (time - cell.start) / cell.count
-        whole = max(self._block_time, _BLOCK_SHARE * (cell.start - self._turned))
+        later = min(_BLOCK_SHARE * (cell.start - self._turned), _LONGEST)
+        whole = max(self._block_time, later)
         if time - cell.start > whole - 0.5 * step + SAME_TIME:
             return True
         if cell.count < 2:

@@ -65,7 +65,7 @@ class Rival:
         # that alone tissue of an order of 0.55 was e^7 times likelier to have a plateau.
         noise = own.noise._replace(beside=own.covariance)
         if before is None or before.law.last_knot != law.last_knot:
-            start = begun(law, noise)
+            (start,) = begun(law, noise)
         else:
             # The law's grid may be of a longer record by now.
             start = before.after._replace(about=law.stressed(before.after.about))
