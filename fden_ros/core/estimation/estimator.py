@@ -213,8 +213,10 @@ class GridEstimator(Estimator):
         if due:
             place = min(due, key=lambda place: place.laid_at)
             place.lay()
-        elif (place := self.best) and not self._ask():
-            return None
+        else:
+            place = self.best
+            if not self._ask():
+                return None
         self._note_odds()
         return place
 

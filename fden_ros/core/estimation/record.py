@@ -218,6 +218,7 @@ class Record:
         return done
 
     def _is_complete(self, cell: Cell, time: float, indentation: float, observed: bool) -> bool:
+        """Whether a sample is of another block; takes note where the motion leaves its line."""
         assert self._start is not None
         if cell.is_observed != observed:
             return True
